@@ -27,10 +27,10 @@ ROOMS = (
     "core/version.py",
     "core/native",
     "core/settings",
-    "core/denoise",
     "core/device",
     "core/rays.py",
     "core/scene",
+    "core/denoise",
     "core/sky",
     "core/bvh",
     "core/shading",
@@ -81,6 +81,9 @@ KERNEL_PARAMETERS_MAX = 8
 NATIVE_PARAMETERS_MAX = 8
 FUNCTION_PARAMETERS_MAX = 12  # of Warp's functions: compilers inline them, and what belongs together is a struct
 WIDE_FIELDS = 8  # of a dataclass from which on they are given by name
+# Constants that each file has of its own: of a format, an environment variable, a type variable, and what the engine is
+# called where a person reads it and where Blender does
+OF_EACH_FILE = {"FORMAT", "VERSION", "VARIABLE", "T", "ENGINE"}
 # of C++: its name, and its parameters
 LAMBDA = re.compile(r"(\w+) = \[[&=]?\]\s*\(([^()]*)\)")
 
@@ -125,6 +128,11 @@ def import_targets(path: Path) -> set[Path]:
             assert found, f"{name_of(path)} imports {name} from {base}, which is not there"
             targets.add(found[0])
     return targets - {path}
+
+
+def callee_of(node: ast.expr) -> str:
+    """What `node` calls; "" where it is no call."""
+    return ast.unparse(node.func) if isinstance(node, ast.Call) else ""
 
 
 def absolute_imports(path: Path) -> set[str]:
@@ -221,10 +229,22 @@ def public_definitions(path: Path) -> list[str]:
     return names
 
 
+def public_constants(path: Path) -> list[str]:
+    """Names in capitals that `path` gives a value at its top level."""
+    targets = [
+        target
+        for node in parsed(path).body
+        if isinstance(node, (ast.Assign, ast.AnnAssign))
+        for target in (node.targets if isinstance(node, ast.Assign) else [node.target])
+    ]
+    names = {each.id for target in targets for each in ast.walk(target) if isinstance(each, ast.Name)}
+    return sorted(name for name in names if name.isupper() and not name.startswith("_") and name not in OF_EACH_FILE)
+
+
 def test_nothing_is_defined_twice_under_one_public_name():
     places = defaultdict(list)
     for path in FILES:
-        for name in public_definitions(path):
+        for name in (*public_definitions(path), *public_constants(path)):
             places[name].append(name_of(path))
     twice = {name: files for name, files in places.items() if len(files) > 1}
     assert not twice, twice
@@ -253,6 +273,20 @@ def test_native_functions_have_few_parameters(path):
     for node in ast.walk(parsed(path)):
         if isinstance(node, ast.FunctionDef) and any("func_native" in ast.unparse(d) for d in node.decorator_list):
             assert len(node.args.args) <= NATIVE_PARAMETERS_MAX, f"{name_of(path)}: {node.name}"
+
+
+@pytest.mark.parametrize("path", CORE_FILES, ids=name_of)
+def test_native_code_comes_from_headers_alone(path):
+    """A native function takes a plain `native_source(...)`, or what a function of its file returns, which is one."""
+    functions = [node for node in ast.walk(parsed(path)) if isinstance(node, ast.FunctionDef)]
+    returned = {each.name: [n.value for n in ast.walk(each) if isinstance(n, ast.Return)] for each in functions}
+    for function in functions:
+        for native in function.decorator_list:
+            if "func_native" not in ast.unparse(native):
+                continue
+            source = native.args[0]
+            for made in returned.get(callee_of(source), [source]):
+                assert callee_of(made) == "native_source", f"{name_of(path)}: {function.name}"
 
 
 @pytest.mark.parametrize("path", CORE_FILES, ids=name_of)

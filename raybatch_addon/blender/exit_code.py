@@ -6,7 +6,7 @@ import atexit
 import os
 import sys
 
-FAILED, REFUSED = 1, 3  # a render failed; one was refused, as it would have lacked something
+RENDER_FAILED, REFUSED = 1, 3  # a render failed; one was refused, as it would have lacked something
 
 _code = 0
 

@@ -77,7 +77,7 @@ def _fail(engine: bpy.types.RenderEngine, report: reports.RenderReport, message:
     line = " ".join(message.split())
     report.errors.append(line)
     if bpy.app.background and not bpy.app.module:
-        exit_code.end_with(exit_code.FAILED)
+        exit_code.end_with(exit_code.RENDER_FAILED)
     engine.report({"ERROR"}, f"RayBatch: {line}")
 
 

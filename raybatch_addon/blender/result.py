@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
+from ..core.denoise.picture import NOISY_CATCHER, NOISY_IMAGE
 from ..core.observers import Tile
 from ..core.scene.cryptomatte import matte_fields
 from ..core.scene.description import Scene
@@ -12,8 +13,6 @@ from ..core.scene.passes import letters_of
 from ..export.passes import (
     LIGHT_GROUP,
     LIGHT_PASS_PROPERTIES,
-    NOISY_CATCHER,
-    NOISY_IMAGE,
     SAMPLE_SHARE,
     VOLUME_PASS_PROPERTIES,
     blender_name,

@@ -8,7 +8,7 @@ from pathlib import Path
 
 # Beside the add-on's files where it is an extension, above them in the repository
 _MANIFESTS = tuple(Path(__file__).parents[up] / "blender_manifest.toml" for up in (1, 2))
-UNKNOWN = "0.0.0"  # of a copy of the code that came without either
+_UNKNOWN = "0.0.0"  # of a copy of the code that came without either
 
 
 def _version() -> str:
@@ -20,7 +20,7 @@ def _version() -> str:
     try:
         return importlib.metadata.version("raybatch")  # installed by pip, without the manifest
     except importlib.metadata.PackageNotFoundError:
-        return UNKNOWN
+        return _UNKNOWN
 
 
 VERSION = _version()

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import bpy
 
+from ..core.denoise.picture import NOISY_CATCHER, NOISY_IMAGE
 from ..core.scene.passes import AOV_COLOR, AOV_VALUE, CATCHER_PASS, GUIDE_PASSES, LIGHT_GROUP
 
 # Passes that can be rendered, by the property of a view layer that asks for them
@@ -45,7 +46,6 @@ COST_PASS_PROPERTIES = {
 # Every pass by a property of a view layer's `raybatch`
 OWN_PASS_PROPERTIES = {"use_pass_sample_count": "Sample Count"} | COST_PASS_PROPERTIES
 # What denoised pictures were made of, which is kept beside them
-NOISY_IMAGE, NOISY_CATCHER = "Noisy Image", "Noisy Shadow Catcher"
 # Names of passes before Blender 5, where they differ
 _EARLIER_NAMES = {
     f"{component} {part}": short_component + short_part

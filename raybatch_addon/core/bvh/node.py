@@ -27,6 +27,7 @@ import numpy as np
 WIDTH = 8  # children of a node
 EMPTY_CHILD = 0x7FFFFFFF  # BOXES: a slot without a child
 TRIANGLES_MAX_BOXES = 8  # of a leaf: one group
+GROUPS_MAX = 8  # of a leaf of BOXES that the binary tree made so large: its word counts them in three bits
 TRIANGLES_MAX_QUANTISED = 3
 
 # One node of BOXES, 256 bytes. `planes` [axis, lower or upper, slot]: an empty slot has +inf and -inf. `child`: a node
@@ -60,12 +61,14 @@ QUANTISED_TRIANGLE = np.dtype(
 
 VECTOR_BYTES = 16  # of an element of the arrays of nodes and triangles: a word of a quantised layout
 
-# What native code knows of either layout
+# What native code knows of either layout; of BOXES in bytes
 BOXES_DEFINES = {
     "NODE_BYTES": BOXES_NODE.itemsize,
     "NODE_CHILD": BOXES_NODE.fields["child"][1],
+    "NODE_SPARE": BOXES_NODE.fields["spare"][1],
     "GROUP_BYTES": BOXES_GROUP.itemsize,
     "GROUP_FACE": BOXES_GROUP.fields["face"][1],
+    "GROUP_ROW": WIDTH * 4,
     "EMPTY_CHILD": EMPTY_CHILD,
 }
 QUANTISED_DEFINES = {

@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
+from ..scene.passes import CATCHER_PASS, CATCHER_SHADOWS
 from ..settings.settings import RenderSettings
 from .library import DenoiseLibrary
 
 COMBINED, NOISY_IMAGE = "Combined", "Noisy Image"
-ALBEDO, NORMAL = "Denoising Albedo", "Denoising Normal"
+_ALBEDO, _NORMAL = "Denoising Albedo", "Denoising Normal"
 NOISY_CATCHER = "Noisy Shadow Catcher"
-CATCHER_PASS, CATCHER_SHADOWS = "Shadow Catcher", "Catcher Shadows"
-_GUIDES = {"NONE": (), "ALBEDO": (ALBEDO,), "ALBEDO_NORMAL": (ALBEDO, NORMAL)}
-_INPUTS = {ALBEDO: "albedo", NORMAL: "normal"}  # as the library calls them
+_GUIDES = {"NONE": (), "ALBEDO": (_ALBEDO,), "ALBEDO_NORMAL": (_ALBEDO, _NORMAL)}
+_INPUTS = {_ALBEDO: "albedo", _NORMAL: "normal"}  # as the library calls them
 
 
 def guiding_passes(settings: RenderSettings) -> tuple[str, ...]:

@@ -42,7 +42,7 @@ class Geometry:
 
 
 # Kernels run the header, which traversal has too. The bodies are what ops folded on the host run (`as_python`).
-@wp.func_native(native_source("math/transform.h") + "return transformed_point(m, p);")
+@wp.func_native(native_source("math/transform.h", "math/transform_point.h"))
 def transform_point(m: mat34, p: wp.vec3) -> wp.vec3:
     """The point `p` under the affine map `m`."""
     return wp.vec3(
@@ -52,7 +52,7 @@ def transform_point(m: mat34, p: wp.vec3) -> wp.vec3:
     )
 
 
-@wp.func_native(native_source("math/transform.h") + "return transformed_vector(m, d);")
+@wp.func_native(native_source("math/transform.h", "math/transform_vector.h"))
 def transform_vector(m: mat34, d: wp.vec3) -> wp.vec3:
     """The direction `d` under the linear part of `m`, not normalised, so that ray distances stay those of the world."""
     return wp.vec3(

@@ -55,18 +55,12 @@ def with_motion(flat: FlatGeometry, corners: bool = False) -> FlatGeometry:
     )
 
 
-@wp.func_native(
-    native_source("math/motion.h")
-    + "return rounded_map(moved_map((const float*)(transforms.data + first), steps, time));"
-)
+@wp.func_native(native_source("math/motion.h", "math/moved_transform.h", KEY_FLOATS=KEY_FLOATS))
 def moved_transform(transforms: wp.array(dtype=mat34), first: int, steps: int, time: float) -> mat34:
     """Object to world at `time`, by the keys that begin at the map `first`."""
 
 
-@wp.func_native(
-    native_source("math/motion.h")
-    + "return rounded_map(inverse_map(moved_map((const float*)(transforms.data + first), steps, time)));"
-)
+@wp.func_native(native_source("math/motion.h", "math/moved_inverse.h", KEY_FLOATS=KEY_FLOATS))
 def moved_inverse(transforms: wp.array(dtype=mat34), first: int, steps: int, time: float) -> mat34:
     """World to object at `time`."""
 

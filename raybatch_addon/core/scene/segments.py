@@ -24,15 +24,34 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-NORMAL_STEPS = 2047
+RADIUS_BITS, RADIUS_SHIFT = 16, 15
+"""Bits of a packed radius, and how far from its lowest bit they begin in a float32."""
+RADIUS_MASK = (1 << RADIUS_BITS) - 1
+COORDINATE_BITS = 11
+"""Bits of a coordinate of a normal."""
+COORDINATE_MASK = (1 << COORDINATE_BITS) - 1
+NORMAL_STEPS = COORDINATE_MASK
 """Steps of a coordinate of a normal from -1 to 1."""
+RIBBON_BIT = 2 * COORDINATE_BITS
+SEGMENT_MARK = 0x7FC00000
+"""Bits of the NaN that marks a segment."""
+SEGMENT_DEFINES = {
+    "RADIUS_BITS": RADIUS_BITS,
+    "RADIUS_SHIFT": RADIUS_SHIFT,
+    "RADIUS_MASK": RADIUS_MASK,
+    "COORDINATE_BITS": COORDINATE_BITS,
+    "COORDINATE_MASK": COORDINATE_MASK,
+    "NORMAL_STEPS": NORMAL_STEPS,
+    "RIBBON_BIT": RIBBON_BIT,
+    "SEGMENT_MARK": SEGMENT_MARK,
+}
+"""What native code knows of packed segments."""
 BEND_MOST = np.cos(np.radians(60.0))
 """Cosine of half the angle of a bend, in which two segments still share a plane; beyond each ends straight."""
 # Segments that are packed together
 _BLOCK = 1 << 13
-_NAN = np.uint32(0x7FC00000)
-_NORMAL_MASK = np.uint32((1 << 22) - 1)
-_RIBBON = np.uint32(1 << 22)
+_NORMAL_MASK = np.uint32((1 << 2 * COORDINATE_BITS) - 1)
+_RIBBON = np.uint32(1 << RIBBON_BIT)
 
 
 def pack_segments(
@@ -51,15 +70,15 @@ def pack_segments(
         positions, float32, shape [n + m, 3], and indices into them, int32, shape [m, 3].
     """
     packed = np.empty((len(segments), 3), np.uint32)
-    size = (radii.astype(np.float32).view(np.uint32) + np.uint32(1 << 14)) >> np.uint32(15)
+    size = (radii.astype(np.float32).view(np.uint32) + np.uint32(1 << RADIUS_SHIFT - 1)) >> np.uint32(RADIUS_SHIFT)
     mark = _RIBBON if ribbons else np.uint32(0)
 
     def pack(part: slice) -> None:
         first, second = segments[part, 0], segments[part, 1]
         begin, end = _end_normals(positions, segments, part)
-        packed[part, 0] = size[first] | size[second] << np.uint32(16)
+        packed[part, 0] = size[first] | size[second] << np.uint32(RADIUS_BITS)
         packed[part, 1] = _packed_normal(begin) | mark
-        packed[part, 2] = _NAN | _packed_normal(end)
+        packed[part, 2] = np.uint32(SEGMENT_MARK) | _packed_normal(end)
 
     _in_blocks(len(segments), pack)
     count = len(positions)
@@ -135,8 +154,7 @@ def segment_boxes_over(steps: np.ndarray, segments: np.ndarray) -> tuple[np.ndar
     for positions in steps:
         ends = positions[segments[:, :2]]
         packed = np.ascontiguousarray(positions[segments[:, 2], 0]).view(np.uint32)
-        radius = np.maximum(packed & np.uint32(0xFFFF), packed >> np.uint32(16)) << np.uint32(15)
-        room = (3 * radius.view(np.float32))[:, None]  # above the root of 8
+        room = (3 * np.maximum(*_unpacked_radii(packed)))[:, None]  # above the root of 8
         low, high = np.minimum(low, ends.min(1) - room), np.maximum(high, ends.max(1) + room)
     return np.nextafter(low, np.float32(-np.inf)), np.nextafter(high, np.float32(np.inf))
 
@@ -144,8 +162,7 @@ def segment_boxes_over(steps: np.ndarray, segments: np.ndarray) -> tuple[np.ndar
 def _boxes(positions: np.ndarray, segments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     ends = positions[segments[:, :2]].astype(np.float64)
     packed = np.ascontiguousarray(positions[segments[:, 2]]).view(np.uint32)
-    radius = np.stack([packed[:, 0] & np.uint32(0xFFFF), packed[:, 0] >> np.uint32(16)], 1) << np.uint32(15)
-    radius = radius.astype(np.uint32).view(np.float32).astype(np.float64)
+    radius = np.stack(_unpacked_radii(packed[:, 0]), 1).astype(np.float64)
     most = radius.max(1)
     along = ends[:, 1] - ends[:, 0]
     length = np.linalg.norm(along, axis=1)
@@ -179,14 +196,22 @@ def _packed_normal(normal: Sequence[np.ndarray]) -> np.ndarray:
     folded = z < 0
     x, y = (np.where(folded, np.copysign(1 - np.abs(y), x), x), np.where(folded, np.copysign(1 - np.abs(x), y), y))
     steps = [np.rint((value + 1) * (0.5 * NORMAL_STEPS)).astype(np.uint32) for value in (x, y)]
-    return steps[0] | steps[1] << np.uint32(11)
+    return steps[0] | steps[1] << np.uint32(COORDINATE_BITS)
+
+
+def _unpacked_radii(words: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Radii at first and second points [m]: float32, shape [m] both."""
+    parts = (words & np.uint32(RADIUS_MASK), words >> np.uint32(RADIUS_BITS))
+    first, second = ((part << np.uint32(RADIUS_SHIFT)).view(np.float32) for part in parts)
+    return first, second
 
 
 def _unpacked_normal(bits: np.ndarray) -> np.ndarray:
     """The vectors of `_packed_normal`, of any length: float64, shape [m, 3]."""
     bits = bits & _NORMAL_MASK
     x, y = (
-        (bits >> np.uint32(shift) & np.uint32(0x7FF)).astype(np.float64) * (2 / NORMAL_STEPS) - 1 for shift in (0, 11)
+        (bits >> np.uint32(shift) & np.uint32(COORDINATE_MASK)).astype(np.float64) * (2 / NORMAL_STEPS) - 1
+        for shift in (0, COORDINATE_BITS)
     )
     z = 1 - np.abs(x) - np.abs(y)
     fold = np.maximum(-z, 0)

@@ -6,6 +6,7 @@ import warp as wp
 
 from ..native.build import native_source
 from ..scene.geometry import mat34
+from ..scene.motion import KEY_FLOATS
 from .camera import CameraData
 
 
@@ -29,9 +30,7 @@ def shutter_time(camera: CameraData, y: float, u: float) -> float:
     return wp.clamp(time, 0.0, 1.0)
 
 
-@wp.func_native(
-    native_source("math/motion.h") + "return rounded_map(moved_map(keys.data, keys.shape[0] / KEY_FLOATS, time));"
-)
+@wp.func_native(native_source("math/motion.h", "math/map_at.h", KEY_FLOATS=KEY_FLOATS))
 def _map_at(keys: wp.array(dtype=float), time: float) -> mat34: ...
 
 

@@ -14,9 +14,10 @@ import warp as wp
 
 from ..bvh.margin import TRIANGLE_TEST
 from ..float32 import UNIT_ROUNDOFF
+from ..native.build import native_source
 from ..scene.geometry import Geometry, corners_of, transform_vector
 from ..scene.moved import positions_at, step_place, transform_at
-from ..scene.segments import NORMAL_STEPS
+from ..scene.segments import COORDINATE_BITS, COORDINATE_MASK, NORMAL_STEPS, RADIUS_BITS, RADIUS_MASK, RADIUS_SHIFT
 from .surface import SurfacePoint, carried_error, make_surface, material_of, moved_normal, unit_or_zero
 
 # Position on a segment, and the next ray's test of it: roundings of numbers of the segment's size
@@ -35,21 +36,27 @@ class Segment:
     second_normal: wp.vec3
 
 
-@wp.func_native("int bits; memcpy(&bits, &x, 4); return bits;")
+@wp.func_native(native_source("math/bits.h", RESULT="int"))
 def _bits_of(x: float) -> int: ...
 
 
-@wp.func_native("float x; memcpy(&x, &bits, 4); return x;")
-def _float_of(bits: int) -> float: ...
+@wp.func_native(native_source("math/bits.h", RESULT="float"))
+def _float_of(x: int) -> float: ...
 
 
 @wp.func
 def _normal_of(bits: int) -> wp.vec3:
-    x = float(bits & 0x7FF) * wp.static(2.0 / NORMAL_STEPS) - 1.0
-    y = float((bits >> 11) & 0x7FF) * wp.static(2.0 / NORMAL_STEPS) - 1.0
+    x = float(bits & wp.static(COORDINATE_MASK)) * wp.static(2.0 / NORMAL_STEPS) - 1.0
+    y = float((bits >> wp.static(COORDINATE_BITS)) & wp.static(COORDINATE_MASK)) * wp.static(2.0 / NORMAL_STEPS) - 1.0
     z = 1.0 - wp.abs(x) - wp.abs(y)
     fold = wp.max(-z, 0.0)
     return wp.vec3(x - wp.where(x < 0.0, -fold, fold), y - wp.where(y < 0.0, -fold, fold), z)
+
+
+@wp.func
+def _radius_of(radii: int, shift: int) -> float:
+    """One of the two packed radii [m]; `shift` is 0 for the first, `RADIUS_BITS` for the second."""
+    return _float_of(((radii >> shift) & wp.static(RADIUS_MASK)) << wp.static(RADIUS_SHIFT))
 
 
 @wp.func
@@ -67,8 +74,8 @@ def segment_of(geometry: Geometry, triangle: int) -> Segment:
     s.first = geometry.positions[corners[0]]
     s.axis = geometry.positions[corners[1]] - s.first
     radii = _bits_of(packed[0])
-    s.first_radius = _float_of((radii & 0xFFFF) << 15)
-    s.second_radius = _float_of(((radii >> 16) & 0xFFFF) << 15)
+    s.first_radius = _radius_of(radii, 0)
+    s.second_radius = _radius_of(radii, wp.static(RADIUS_BITS))
     s.first_normal = _normal_of(_bits_of(packed[1]))
     s.second_normal = _normal_of(_bits_of(packed[2]))
     return s
@@ -95,10 +102,10 @@ def segment_at(geometry: Geometry, mesh: int, triangle: int, time: float) -> Seg
         s.axis = second - first
         a = _bits_of(before[0])
         b = _bits_of(behind[0])
-        r = _float_of((a & 0xFFFF) << 15)
-        s.first_radius = r + place.share * (_float_of((b & 0xFFFF) << 15) - r)
-        r = _float_of(((a >> 16) & 0xFFFF) << 15)
-        s.second_radius = r + place.share * (_float_of(((b >> 16) & 0xFFFF) << 15) - r)
+        r = _radius_of(a, 0)
+        s.first_radius = r + place.share * (_radius_of(b, 0) - r)
+        r = _radius_of(a, wp.static(RADIUS_BITS))
+        s.second_radius = r + place.share * (_radius_of(b, wp.static(RADIUS_BITS)) - r)
         s.first_normal = _mixed_normal(before[1], behind[1], place.share)
         s.second_normal = _mixed_normal(before[2], behind[2], place.share)
     return s

@@ -39,7 +39,7 @@ from .scattering_kernels import (
     scattered_kernel,
 )
 
-ALTITUDE_RANGE = (1.0, 99999.0)  # [m]
+_ALTITUDE_RANGE = (1.0, 99999.0)  # [m]
 _ROWS_AT_ONCE = 8  # of the table
 
 
@@ -49,7 +49,7 @@ def multiple_scattering_picture(atmosphere: Atmosphere) -> np.ndarray:
     lit = _lit_table(atmosphere.air, atmosphere.aerosol, atmosphere.ozone)
     cosine = np.cos(F(0.5 * math.pi) - F(atmosphere.sun_elevation))
     sun = wp.vec3(*(float(each) for each in _sun_direction(cosine)))
-    start = float(EARTH + F(np.clip(atmosphere.altitude, *ALTITUDE_RANGE)) / F(1000))
+    start = float(EARTH + F(np.clip(atmosphere.altitude, *_ALTITUDE_RANGE)) / F(1000))
 
     def render(rows: np.ndarray) -> np.ndarray:
         half = np.empty((len(rows), PICTURE_WIDTH // 2, 3), F)
@@ -66,7 +66,7 @@ def multiple_scattering_picture(atmosphere: Atmosphere) -> np.ndarray:
 def multiple_scattering_disc(atmosphere: Atmosphere, size: float) -> SunDisc:
     """The sun's disc of angular diameter `size` [rad]."""
     solid_angle = F(2 * math.pi) * (F(1) - np.cos(F(size) / F(2)))
-    height = F(np.clip(atmosphere.altitude, *ALTITUDE_RANGE)) / F(1000)
+    height = F(np.clip(atmosphere.altitude, *_ALTITUDE_RANGE)) / F(1000)
 
     def color(elevation: np.float32) -> tuple[float, float, float]:
         cosine = np.array([np.cos(F(0.5 * math.pi) - elevation)], F)

@@ -14,7 +14,7 @@ import numpy as np
 
 from .atmosphere import PICTURE_HEIGHT, PICTURE_WIDTH, Atmosphere, F, SkyModel, SunDisc, in_parts
 
-ALTITUDE_RANGE = (1.0, 59999.0)  # [m]
+_ALTITUDE_RANGE = (1.0, 59999.0)  # [m]
 _EARTH = F(6360e3)  # radius [m]
 _TOP = F(6420e3)  # radius of the atmosphere [m]
 _AIR_HEIGHT = F(8e3)  # height at which the density of air is 1 / e of that at sea level [m]
@@ -150,7 +150,7 @@ Vector = tuple[np.ndarray, np.ndarray, np.ndarray]  # x, y, z, or amounts of air
 def single_scattering_picture(atmosphere: Atmosphere) -> np.ndarray:
     """Radiance of the sky, which fades out below the horizon; see `atmosphere.py` for its layout. Read only."""
     sun = _direction(F(atmosphere.sun_elevation), F(0))
-    height = F(np.clip(atmosphere.altitude, *ALTITUDE_RANGE))
+    height = F(np.clip(atmosphere.altitude, *_ALTITUDE_RANGE))
     half = PICTURE_HEIGHT // 2
 
     def render(rows: np.ndarray) -> np.ndarray:
@@ -175,7 +175,7 @@ def single_scattering_disc(atmosphere: Atmosphere, size: float) -> SunDisc:
     highest = max(F(atmosphere.sun_elevation) + F(size) / F(2), F(0))
     if highest <= 0:
         return SunDisc((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    height = F(np.clip(atmosphere.altitude, *ALTITUDE_RANGE))
+    height = F(np.clip(atmosphere.altitude, *_ALTITUDE_RANGE))
 
     def color(elevation: np.float32) -> tuple[float, float, float]:
         direction = _direction(np.array([elevation], F), F(0))

@@ -14,7 +14,7 @@ import numpy as np
 from ...core.scene.description import Grid, Mesh
 from ...core.scene.frozen import freeze
 from ...core.scene.notice import Notice, Weight
-from ...core.shading.volumes.grids import TILE, cut_into_tiles
+from ...core.shading.volumes.grids import CUBE_CORNERS, TILE, cut_into_tiles
 from .smoke import smoke_grids
 
 # Most values of the tiles of a grid that hold any: more do not fit a computer's memory
@@ -23,8 +23,7 @@ _VALUES_MOST = 1 << 29
 _BLOCK = 64
 # To meet an active voxel takes as long as to read so many
 _VOXELS_PER_STEP = 256
-# Corners of a unit box, and its faces, seen from outside
-_CORNERS = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
+# Faces of the box between `CUBE_CORNERS`, seen from outside
 _QUADS = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
 _TRIANGLES = np.concatenate([_QUADS[:, :3], _QUADS[:, [0, 2, 3]]]).astype(np.int32)
 
@@ -64,7 +63,7 @@ def _exported(obj: bpy.types.Object, names: list[str], frame: int, warnings: lis
     space = (tuple((0.5 * (low + high)).tolist()), tuple((0.5 * (high - low)).tolist()))
     return Mesh(
         volume.name,
-        (low + _CORNERS * (high - low)).astype(np.float32),
+        (low + CUBE_CORNERS * (high - low)).astype(np.float32),
         _TRIANGLES,
         texture_space=space,
         grids=tuple(found),
@@ -205,5 +204,5 @@ def _box(grid: Grid, first: np.ndarray, last: np.ndarray) -> np.ndarray:
     `last`: indices of voxels.
     """
     matrix = np.linalg.inv(grid.to_index[:, :3])
-    corners = (first - 1 + _CORNERS * (last - first + 2) - grid.to_index[:, 3]) @ matrix.T
+    corners = (first - 1 + CUBE_CORNERS * (last - first + 2) - grid.to_index[:, 3]) @ matrix.T
     return np.stack([corners.min(0), corners.max(0)])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -112,8 +112,8 @@ class StageTracer(MeasuredTracer):
         plain: bool = False,
         counts: bool = False,
     ):
-        """`sorts`: rays are sorted before each run. `plain`: see `TraceOptions.plainly`. `counts`: steps and
-        tests are counted, by a run apart.
+        """`sorts`: rays are sorted before each run. `plain`: a thread traces one ray after another, without
+        refill, to compare with. `counts`: steps and tests are counted, by a run apart.
         """
         self.name = name
         self._trees, self._device, self._batching, self._sorts, self._plain = trees, device, batching, sorts, plain
@@ -131,7 +131,7 @@ class StageTracer(MeasuredTracer):
 
     def _stage(self, any_hit: bool, counters: bool = False) -> TraceStage:
         options = TraceOptions(any_hit=any_hit, instancing=self._instancing, counters=counters)
-        return trace_stage(self._layout, options.plainly() if self._plain else options)
+        return trace_stage(self._layout, replace(options, interleave=1, refill=0) if self._plain else options)
 
     def load(self, rays: CapturedRays, thread_count: int) -> None:
         self._any_hit = rays.type.shadow

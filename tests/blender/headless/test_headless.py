@@ -145,4 +145,4 @@ def test_a_failed_render_ends_blender_with_1_and_no_script(scene, monkeypatch):
     is_module = type("App", (), {"background": True, "module": False})
     monkeypatch.setattr(frame, "bpy", type("Blender", (), {"app": is_module, "types": bpy.types}))
     frame._fail(type("Engine", (), {"report": lambda *_: None})(), reports.RenderReport("Scene", 1), "no camera")
-    assert codes == [exit_code.FAILED]
+    assert codes == [exit_code.RENDER_FAILED]

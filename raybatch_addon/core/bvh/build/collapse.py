@@ -13,6 +13,7 @@ root down (numbers nodes and writes down what leaves list: the plan), `fill` nod
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from ...device.kernel import KERNEL_OPTIONS
 from ...native.build import native_source
 from ..node import (
     EMPTY_CHILD,
+    GROUPS_MAX,
     TRIANGLES_MAX_BOXES,
     TRIANGLES_MAX_QUANTISED,
     WIDTH,
@@ -31,16 +33,40 @@ from ..node import (
     aligned_empty,
     triangle_faces,
 )
-from .binary import BinaryTree
+from .binary import DEPTH_MAX, BinaryTree
 from .encode import ENCODE_BOXES, ENCODE_QUANTISED, as_vectors, place_groups_kernel, place_triangles_kernel
 
-_ERRORS = (
-    "",
-    "a leaf of the binary tree lists more than a leaf of this layout can",
-    "children of a binary node must come after it",
-    "the binary tree is too deep",
-    "leaves list more than indices of 32 bits can name",
-)
+
+class CollapseError(IntEnum):
+    """What a pass returns."""
+
+    NO_ERROR = 0
+    LEAF_TOO_LARGE = 1
+    CHILD_BEFORE_PARENT = 2
+    TOO_DEEP = 3
+    TOO_MANY_LISTED = 4
+
+
+class Found(IntEnum):
+    """Indices of the error and of the figures of a plan in `CollapseWork.found`."""
+
+    ERROR = 0
+    NODE_COUNT = 1
+    LISTED = 2  # words of `order`
+    LEVELS = 3
+    LEAF_COUNT = 4
+    REFERENCE_COUNT = 5  # in leaves
+
+
+_MESSAGES = {
+    CollapseError.LEAF_TOO_LARGE: "a leaf of the binary tree lists more than a leaf of this layout can",
+    CollapseError.CHILD_BEFORE_PARENT: "children of a binary node must come after it",
+    CollapseError.TOO_DEEP: "the binary tree is too deep",
+    CollapseError.TOO_MANY_LISTED: "leaves list more than indices of 32 bits can name",
+}
+_PLAN = {"DEPTH_MAX": DEPTH_MAX, **{each.name: each.value for each in (*CollapseError, *Found)}}
+_NO_ERROR = wp.constant(int(CollapseError.NO_ERROR))
+_ERROR, _NODE_COUNT = wp.constant(int(Found.ERROR)), wp.constant(int(Found.NODE_COUNT))
 
 
 @dataclass(frozen=True)
@@ -89,11 +115,15 @@ class CollapseWork:
     )  # shape [wide nodes or more, 16]: binary node of each slot or -1, then BOXES: the word of each child; QUANTISED:
     # first child, first triangle, meta (2 words), mask
     order: wp.array2d(dtype=int)  # what leaves list, shape [units or more, references of a unit]; -1 fills units up
-    found: wp.array(dtype=int)  # error, wide nodes, words of `order`, levels, leaves, references in leaves
+    found: wp.array(dtype=int)  # by `Found`
     sah: wp.array(dtype=wp.float64)
 
 
-@wp.func_native(native_source("encode/rounding.h", "collapse/binary.h", "collapse/choose.h"))
+@wp.func_native(
+    native_source(
+        "encode/rounding.h", "collapse/binary.h", "collapse/choose.h", WIDTH=WIDTH, GROUPS_MAX=GROUPS_MAX, **_PLAN
+    )
+)
 def choose(work: CollapseWork) -> int: ...
 
 
@@ -104,13 +134,16 @@ def choose(work: CollapseWork) -> int: ...
         "collapse/arrange_boxes.h",
         "collapse/arranged.h",
         EMPTY_CHILD=EMPTY_CHILD,
+        **_PLAN,
     )
 )
 def arrange_boxes(work: CollapseWork) -> int: ...
 
 
 @wp.func_native(
-    native_source("collapse/binary.h", "collapse/arrange.h", "collapse/arrange_quantised.h", "collapse/arranged.h")
+    native_source(
+        "collapse/binary.h", "collapse/arrange.h", "collapse/arrange_quantised.h", "collapse/arranged.h", **_PLAN
+    )
 )
 def arrange_quantised(work: CollapseWork) -> int: ...
 
@@ -145,31 +178,31 @@ def fill_quantised(work: CollapseWork, nodes: wp.array(dtype=wp.vec4), i: int): 
 def collapse_boxes_kernel(work: CollapseWork):
     """The plan of a tree in the layout BOXES (one thread)."""
     error = choose(work)
-    if error == 0:
+    if error == _NO_ERROR:
         error = arrange_boxes(work)
-    work.found[0] = error
+    work.found[_ERROR] = error
 
 
 @wp.kernel(**KERNEL_OPTIONS)
 def collapse_quantised_kernel(work: CollapseWork):
     """The plan of a tree in the layout QUANTISED (one thread)."""
     error = choose(work)
-    if error == 0:
+    if error == _NO_ERROR:
         error = arrange_quantised(work)
-    work.found[0] = error
+    work.found[_ERROR] = error
 
 
 @wp.kernel(**KERNEL_OPTIONS)
 def fill_boxes_kernel(work: CollapseWork, nodes: wp.array(dtype=wp.vec4)):
     """Nodes of BOXES as planned, shape [16 n] (one thread)."""
-    for i in range(work.found[1]):
+    for i in range(work.found[_NODE_COUNT]):
         fill_boxes(work, nodes, i)
 
 
 @wp.kernel(**KERNEL_OPTIONS)
 def fill_quantised_kernel(work: CollapseWork, nodes: wp.array(dtype=wp.vec4)):
     """Nodes of QUANTISED as planned, shape [5 n] (one thread)."""
-    for i in range(work.found[1]):
+    for i in range(work.found[_NODE_COUNT]):
         fill_quantised(work, nodes, i)
 
 
@@ -226,7 +259,7 @@ def _start(binary: BinaryTree, layout: Layout, unit: int) -> CollapseWork:
     work.plan = _scratch((max(leaf_count - 1, 1), 16), int)
     work.order = _scratch((len(binary.references) // unit + leaf_count, unit), int)
     work.centre = wp.vec3(*_centre(binary.nodes[0]).tolist())
-    work.found = wp.zeros(6, dtype=int, device="cpu")
+    work.found = wp.zeros(len(Found), dtype=int, device="cpu")
     work.sah = wp.zeros(1, dtype=wp.float64, device="cpu")
     return work
 
@@ -242,7 +275,7 @@ def _collapse(
     wp.launch(collapse_boxes_kernel if boxes else collapse_quantised_kernel, dim=1, inputs=[work], device="cpu")
     error, node_count, listed, depth, leaf_count, reference_count = work.found.numpy().tolist()
     if error:
-        raise ValueError(_ERRORS[error])
+        raise ValueError(_MESSAGES[CollapseError(error)])
     nodes = aligned_empty((node_count, layout.node_words), layout.node_type)
     wp.launch(
         fill_boxes_kernel if boxes else fill_quantised_kernel, dim=1, inputs=[work, as_vectors(nodes)], device="cpu"

@@ -10,15 +10,15 @@ import warp as wp
 from ...device.kernel import KERNEL_OPTIONS
 from ...native.build import native_source
 from ..margin import SLAB_MARGIN
-from ..node import EMPTY_CHILD, Layout, aligned_empty
+from ..node import BOXES_DEFINES, Layout, aligned_empty
 
-ENCODE_BOXES = {"SLAB_MARGIN": SLAB_MARGIN, "NODE_WORDS": Layout.BOXES.node_words, "EMPTY_CHILD": EMPTY_CHILD}
+ENCODE_BOXES = BOXES_DEFINES | {"SLAB_MARGIN": SLAB_MARGIN}
 """Macros of native functions that write nodes of BOXES."""
 ENCODE_QUANTISED = {"SLAB_MARGIN": SLAB_MARGIN, "NODE_WORDS": Layout.QUANTISED.node_words}
 """Macros of native functions that write nodes of QUANTISED."""
 
 
-@wp.func_native(native_source("encode/place_group.h", GROUP_WORDS=Layout.BOXES.triangle_words))
+@wp.func_native(native_source("encode/place_group.h", **BOXES_DEFINES))
 def place_group(
     i: int, blocks: wp.array(dtype=wp.vec4), positions: wp.array(dtype=wp.vec3), triangles: wp.array(dtype=wp.vec3i)
 ): ...

@@ -59,11 +59,10 @@ class RefitWork:
     unit_cost: float
 
 
-_BOXES = {**ENCODE_BOXES, "UNIT_WORDS": Layout.BOXES.triangle_words}
 _QUANTISED = {**ENCODE_QUANTISED, "UNIT_WORDS": Layout.QUANTISED.triangle_words}
 
 
-@wp.func_native(native_source("refit/start.h", "refit/children_of_boxes.h", "refit/join.h", **_BOXES))
+@wp.func_native(native_source("refit/start.h", "refit/children_of_boxes.h", "refit/join.h", **ENCODE_BOXES))
 def join_boxes(work: RefitWork, i: int): ...
 
 
@@ -73,7 +72,12 @@ def join_quantised(work: RefitWork, i: int): ...
 
 @wp.func_native(
     native_source(
-        "encode/rounding.h", "refit/start.h", "refit/children_of_boxes.h", "refit/measure.h", "encode/boxes.h", **_BOXES
+        "encode/rounding.h",
+        "refit/start.h",
+        "refit/children_of_boxes.h",
+        "refit/measure.h",
+        "encode/boxes.h",
+        **ENCODE_BOXES,
     )
 )
 def write_boxes(work: RefitWork, i: int): ...

@@ -25,7 +25,7 @@ HEADER_WORDS = 8
 # Triangles of a block by the bits of their indices: 128 have no more than 256 vertices in most meshes, 64 have so in
 # all
 BLOCK_BITS = (7, 6)
-VERTICES_MAX = 256
+BLOCK_VERTICES_MAX = 256
 _VECTORS = 3  # of a triangle
 
 
@@ -41,7 +41,7 @@ def encode_triangles(triangles: np.ndarray, corners: np.ndarray, positions: np.n
     faces = np.ascontiguousarray(triangles).view(QUANTISED_TRIANGLE)[:, 0]["face"]
     for bits in BLOCK_BITS:
         indices, vertices, vertex_first = _blocks(corners, bits)
-        if count == 0 or np.diff(vertex_first).max() <= VERTICES_MAX:
+        if count == 0 or np.diff(vertex_first).max() <= BLOCK_VERTICES_MAX:
             break
     starts = np.arange(0, count, 1 << bits)
     face_first = np.minimum.reduceat(faces, starts) if count else np.zeros(0, np.int32)

@@ -20,19 +20,20 @@ import warp as wp
 
 from ...native.build import native_source
 from ...rays import DeviceRayList, Rays
-from ...scene.segments import NORMAL_STEPS
+from ...scene.segments import SEGMENT_DEFINES
+from ..build.binary import DEPTH_MAX
 from ..intersect import EDGE_TINY
 from ..margin import DIRECTION_LEAST, SLAB_MARGIN
 from ..node import BOXES_DEFINES
 from ..tree import Tree
 from .counts import TraceCounts
-from .motion import motion_headers
+from .motion import motion_defines, motion_headers
 from .options import TraceOptions, TraversalOptions
 
-# Levels of a wide tree are no more than those of the binary tree, 63 at most; each leaves up to seven children waiting.
-# Below them is the end of the stack, above them room for the eight words of a store.
-_STACK_MESH = 8 + 63 * 7 + 16
-_STACK_ALL = _STACK_MESH + 63 * 7 + 16
+# Levels of a wide tree are no more than those of the binary tree; each leaves up to seven children waiting. Below them
+# is the end of the stack, above them room for the eight words of a store.
+_STACK_MESH = 8 + DEPTH_MAX * 7 + 16
+_STACK_ALL = _STACK_MESH + DEPTH_MAX * 7 + 16
 
 RAY_HEADERS = (
     "math/vectors.h",
@@ -61,20 +62,20 @@ def ray_headers(options: TraversalOptions) -> tuple[str, ...]:
 
 def segment_defines(options: TraversalOptions) -> dict[str, int]:
     """Macros of the headers of segments; none without."""
-    return {"NORMAL_STEPS": NORMAL_STEPS} if options.curves else {}
+    return SEGMENT_DEFINES if options.curves else {}
 
 
 def boxes_defines(options: TraversalOptions) -> dict[str, bool | int | float]:
     """Macros of `RAY_HEADERS`, and of loops over rays."""
     return BOXES_DEFINES | {
         "TWO_LEVEL": options.instancing,
-        "MOTION": options.motion,
         "COUNTERS": options.counters,
         "CARRIED": options.interleave,
         "STACK": _STACK_ALL if options.instancing else _STACK_MESH,
         "DIRECTION_LEAST": DIRECTION_LEAST,
         "SLAB_MARGIN": SLAB_MARGIN,
         "EDGE_TINY": EDGE_TINY,
+        **motion_defines(options),
         **segment_defines(options),
     }
 

@@ -23,7 +23,7 @@ from ..node import QUANTISED_DEFINES
 from ..tree import Tree
 from .counts import TraceCounts
 from .cpu import segment_defines
-from .motion import motion_headers
+from .motion import motion_defines, motion_headers
 from .options import TraceOptions, TraversalOptions
 
 # Levels of a mesh tree and of the top level: each has at most one group of nodes on the stack, the top level one of
@@ -70,7 +70,6 @@ def quantised_defines(options: TraversalOptions) -> dict[str, bool | int | float
     """Macros of the headers that whole trees and cut ones have in common."""
     return QUANTISED_DEFINES | {
         "TWO_LEVEL": options.instancing,
-        "MOTION": options.motion,
         "COUNTERS": options.counters,
         "REFILL": 32 if options.single_lane else options.refill,
         "SINGLE_LANE": options.single_lane,
@@ -78,6 +77,7 @@ def quantised_defines(options: TraversalOptions) -> dict[str, bool | int | float
         "DIRECTION_LEAST": DIRECTION_LEAST,
         "SLAB_MARGIN": SLAB_MARGIN,
         "EDGE_TINY": EDGE_TINY,
+        **motion_defines(options),
         **segment_defines(options),
     }
 

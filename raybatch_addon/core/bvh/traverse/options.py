@@ -49,10 +49,6 @@ class TraceOptions(TraversalOptions):
         if self.leaf_groups not in (1, 2):
             raise ValueError("leaf_groups is 1 or 2")
 
-    def plainly(self) -> Self:
-        """One ray after another a thread, and no refill, to compare with."""
-        return replace(self, interleave=1, refill=0)
-
 
 @dataclass(frozen=True, kw_only=True)
 class VisitOptions(TraversalOptions):

@@ -9,7 +9,7 @@ typedef float f8 __attribute__((vector_size(32)));
 typedef float f16 __attribute__((vector_size(64)));
 typedef int i16 __attribute__((vector_size(64)));
 typedef float f8u __attribute__((vector_size(32), aligned(4)));  // at any address that NumPy gives
-enum { BINS_FEW = 16, FEW = 512, EXACT_MAX = 16, DEPTH_MAX = 63 };
+enum { BINS_FEW = 16, FEW = 512, EXACT_MAX = 16 };
 
 // The fields are those of NumPy's tables, which Python passes.
 struct Task {

@@ -32,7 +32,7 @@ auto children_of = [&](int b, int* child) {
 };
 // lists the references of the leaf over binary node b, each once; returns how many there are
 auto list_leaf = [&](int b) {
-    int stack[64], open = 0, count = 0;
+    int stack[DEPTH_MAX + 1], open = 0, count = 0;
     int* L = work.order.data + listed;
     stack[open++] = b;
     while (open) {
@@ -62,6 +62,6 @@ struct Wide {
     int binary, level, node, slot;
 };
 // each level leaves at most seven siblings waiting
-const int STACK = 512;
+const int STACK = 8 * (DEPTH_MAX + 1);
 Wide stack[STACK];
 int open = 0;

@@ -5,7 +5,7 @@ while (open) {
     int child[8];
     const int count = children_of(w.binary, child);
     int* P = work.plan.data + 16ll * node_count;
-    if (8ll * listed > 0x7fffff00ll * work.unit) return 4;
+    if (8ll * listed > 0x7fffff00ll * work.unit) return TOO_MANY_LISTED;
     if (w.node >= 0) work.plan.data[16ll * w.node + 8 + w.slot] = node_count;
     levels = w.level > levels ? w.level : levels;
     sah += chance_of(w.binary) * work.node_cost;
@@ -20,7 +20,7 @@ while (open) {
     }
     for (int s = count - 1; s >= 0; --s)
         if (!D[8ll * child[s]]) {
-            if (open == STACK) return 3;
+            if (open == STACK) return TOO_DEEP;
             stack[open++] = {child[s], w.level + 1, node_count, s};
         }
     ++node_count;

@@ -50,7 +50,7 @@ while (open) {
         }
     }
     P[12] = mask;
-    if (open + inner > STACK) return 3;
+    if (open + inner > STACK) return TOO_DEEP;
     node_count += inner;
     for (int s = 7, i = node_count; s >= 0; --s)
         if (mask >> s & 1) stack[open++] = {P[s], w.level + 1, --i, s};

@@ -1,9 +1,9 @@
 // The figures of the finished plan.
-int* F = work.found.data;
-F[1] = node_count;
-F[2] = listed;
-F[3] = levels;
-F[4] = leaf_count;
-F[5] = reference_count;
+int* found = work.found.data;
+found[NODE_COUNT] = node_count;
+found[LISTED] = listed;
+found[LEVELS] = levels;
+found[LEAF_COUNT] = leaf_count;
+found[REFERENCE_COUNT] = reference_count;
 work.sah.data[0] = sah;
-return 0;
+return NO_ERROR;

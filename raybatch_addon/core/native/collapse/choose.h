@@ -1,5 +1,6 @@
-// The least cost of covering each binary node by at most 1 to 7 parts, from the last node to the first; returns the
-// number of an error, or 0.
+// The least cost of covering each binary node by at most 1 to 7 parts, from the last node to the first; returns an
+// error, or NO_ERROR.
+static_assert(WIDTH == 8 && GROUPS_MAX == 8, "headers write both as numbers");
 const int* T = (const int*)work.triangles.data;
 const float* V = (const float*)work.positions.data;
 for (int i = work.node_count - 1; i >= 0; --i) {
@@ -7,7 +8,7 @@ for (int i = work.node_count - 1; i >= 0; --i) {
     float* C = work.cost.data + 8ll * i;
     unsigned char* D = work.choice.data + 8ll * i;
     if (N[i].count > 0) {
-        if (N[i].count > (work.unit == 8 ? 64 : work.leaf_max)) return 1;
+        if (N[i].count > (work.unit == WIDTH ? GROUPS_MAX * WIDTH : work.leaf_max)) return LEAF_TOO_LARGE;
         const float leaf = chance * work.unit_cost * (float)((N[i].count + work.unit - 1) / work.unit);
         for (int j = 0; j < 8; ++j) {
             C[j] = leaf;
@@ -28,7 +29,7 @@ for (int i = work.node_count - 1; i >= 0; --i) {
         continue;
     }
     const int a = N[i].first;
-    if (a <= i || a + 1 >= work.node_count) return 2;
+    if (a <= i || a + 1 >= work.node_count) return CHILD_BEFORE_PARENT;
     const int below_i = work.below.data[a] + work.below.data[a + 1];
     work.below.data[i] = below_i;
     if (work.clipped) {
@@ -66,4 +67,4 @@ for (int i = work.node_count - 1; i >= 0; --i) {
     C[7] = best[8];
     D[7] = share[8];
 }
-return 0;
+return NO_ERROR;

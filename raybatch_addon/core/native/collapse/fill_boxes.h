@@ -1,6 +1,8 @@
 // Links of a node of BOXES; its planes come behind.
-float* node = (float*)nodes.data + NODE_WORDS * (long long)i;
+float* node = (float*)((char*)nodes.data + NODE_BYTES * (long long)i);
+int* child = (int*)((char*)node + NODE_CHILD);
+int* spare = (int*)((char*)node + NODE_SPARE);
 for (int s = 0; s < 8; ++s) {
-    ((int*)node)[48 + s] = P[8 + s];
-    ((int*)node)[56 + s] = 0;
+    child[s] = P[8 + s];
+    spare[s] = 0;
 }

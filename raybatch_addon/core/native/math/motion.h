@@ -2,7 +2,6 @@
 // last), a translation and a stretch (row by row). The rotation is interpolated along great arcs, the rest linearly, as
 // Cycles does it (`core/scene/motion.py`). In float64, so that a map is as right as one that does not move.
 
-constexpr int KEY_FLOATS = 24;
 struct AffineMap {
     double m[3][4];
 };

@@ -12,6 +12,7 @@ import numpy as np
 import warp as wp
 
 from ...errors import SceneError
+from ...native.build import native_source
 from ...native.structs import record_type, upload_records
 from ...scene.description import Closure, ClosureKind, Material
 from .albedo import AlbedoTables, upload_tables
@@ -37,6 +38,12 @@ MIRROR_KINDS = frozenset({_K.GLOSSY, _K.METAL, _K.DIELECTRIC, _K.CONDUCTOR})
 PASSING_KINDS = frozenset({_K.GLASS, _K.REFRACTION})  # facets that refract
 REFLECTION_KINDS = MIRROR_KINDS | {_K.SHEET}  # facets whose albedo is that of reflection
 MICROFACET_KINDS = REFLECTION_KINDS | PASSING_KINDS | {_K.ASHIKHMIN_SHIRLEY, _K.SUBSURFACE}
+# models that scatter by no facets
+DIFFUSE_KINDS = tuple(
+    kind
+    for kind in _K
+    if kind.is_model and kind not in MICROFACET_KINDS | {_K.TRANSPARENT, _K.RAY_PORTAL, _K.EMISSION, _K.HOLDOUT}
+)
 # fibres, which scatter to all sides
 HAIR_KINDS = frozenset(kind for kind in _K if kind.is_hair)
 # Ops of programs that may make a closure that lets light pass straight on
@@ -136,8 +143,13 @@ class ClosureRecord:
 RECORD_FLOATS = ClosureRecord.numpy_dtype()["itemsize"] // 4
 
 
-@wp.func_native("return reinterpret_cast<wp::uint64>(values.data);")
+@wp.func_native(native_source("math/address.h", FIRST="0"))
 def address_of(values: wp.array(dtype=float)) -> wp.uint64: ...
+
+
+@wp.func_native(native_source("math/address.h", FIRST="first"))
+def address_of_closure(values: wp.array(dtype=ClosureRecord), first: int) -> wp.uint64:
+    """Where the record `first` is."""
 
 
 @wp.func

@@ -12,11 +12,11 @@ from __future__ import annotations
 
 import warp as wp
 
+from ...float32 import HALF_PI
 from ..bsdf.materials import ClosureRecord, ShadingFrame
 from .chiang import HairDirection
 from .fibre import azimuth_of, fibre_direction, fibre_frame
 
-_HALF_PI = 1.5707963267948966
 # Nearer to the fibre's direction than this nothing is scattered [rad]
 _END = 0.001
 
@@ -26,7 +26,7 @@ def _half_at(theta_o: float, end: float) -> float:
     """The half angle where wi runs along the fibre towards one of its ends (1 or -1), from a lobe that is not
     shifted.
     """
-    return 0.5 * (end * wp.static(_HALF_PI) + theta_o)
+    return 0.5 * (end * HALF_PI + theta_o)
 
 
 @wp.func
@@ -34,10 +34,10 @@ def _around(azimuth: float, width: float, passes: bool) -> float:
     """Density around the fibre."""
     if passes:
         off = wp.PI - wp.abs(azimuth)
-        if off > wp.static(_HALF_PI):
+        if off > HALF_PI:
             return 0.0
-        return width / (2.0 * wp.atan(wp.static(_HALF_PI) / width) * (off * off + width * width))
-    if wp.abs(azimuth) > wp.static(_HALF_PI):
+        return width / (2.0 * wp.atan(HALF_PI / width) * (off * off + width * width))
+    if wp.abs(azimuth) > HALF_PI:
         return 0.0
     return 0.25 * wp.cos(0.5 * wp.min(wp.abs(azimuth) / width, wp.PI)) / width
 
@@ -52,7 +52,7 @@ def hair_lobe_value(
     f = fibre_frame(closures[c].tangent, frame, wo)
     theta_o = wp.asin(f.sin_o)
     theta_i = wp.asin(wp.clamp(wp.dot(wi, f.along), -1.0, 1.0))
-    if wp.static(_HALF_PI) - wp.abs(theta_i) < wp.static(_END):
+    if HALF_PI - wp.abs(theta_i) < wp.static(_END):
         return 0.0
     shift = closures[c].film_ior
     half = 0.5 * (theta_i + theta_o) - shift
@@ -79,7 +79,7 @@ def sample_hair_lobe(
     found = HairDirection()
     azimuth = 2.0 * wp.asin(wp.clamp(1.0 - 2.0 * u[1], -1.0, 1.0)) * spread
     if passes:
-        azimuth = wp.PI + spread * wp.tan(2.0 * wp.atan(wp.static(_HALF_PI) / spread) * (u[1] - 0.5))
+        azimuth = wp.PI + spread * wp.tan(2.0 * wp.atan(HALF_PI / spread) * (u[1] - 0.5))
         found.passes = 1
     found.direction = fibre_direction(f, wp.sin(theta_i), azimuth)
     return found

@@ -3,7 +3,7 @@
 import warp as wp
 
 # Emitters, or groups of them, that are compared with each other: a scene with so few is compared exactly
-WIDTH = 16
+BLOCK_WIDTH = 16
 # Numbers of a node in `ChoiceTable.blocks`, in this order: the middle of a sphere around its emitters and its radius
 # [m]; the middle of the cone of their normals, the cosine and sine of its half angle (-1 and 0: all directions), the
 # cosine of how far beyond the normals light leaves, 1 where light leaves into the opposite directions too; and the
@@ -44,11 +44,11 @@ class LightLinks:
 class ChoiceTable:
     """What the choice among emitters reads: a tree over all that have a place, and what is distant.
 
-    A block holds up to `WIDTH` nodes that lie below one; nodes are numbered through all blocks. The first block is the
-    top; it is there in any case.
+    A block holds up to `BLOCK_WIDTH` nodes that lie below one; nodes are numbered through all blocks. The first block
+    is the top; it is there in any case.
     """
 
-    # each number of all nodes of a block side by side, shape [blocks, FIELDS, WIDTH] flattened; power 0: no node
+    # each number of all nodes of a block side by side, shape [blocks, FIELDS, BLOCK_WIDTH] flattened; power 0: no node
     blocks: wp.array(dtype=float)
     below: wp.array(dtype=int)  # of each node: the block below it; less than 0: -1 - the number of the emitter
     above: wp.array(dtype=int)  # of each block: the node above it; -1: none

@@ -20,7 +20,7 @@ import warp as wp
 
 from ...native.build import native_source
 from ...scene.description import LightKind
-from .choice_table import FIELDS, WIDTH
+from .choice_table import BLOCK_WIDTH, FIELDS
 from .emitters import COSINE_ERROR
 from .light_table import LightTable
 
@@ -144,15 +144,15 @@ def _make_choice(has_suns: bool, has_world: bool, local: bool, linked: bool) -> 
     """`local`: there are emitters with a place; `linked`: some light some objects alone."""
     numbers = dict(COSINE_MIN=_COSINE_MIN, COSINE_ERROR=COSINE_ERROR, LEAST=_LEAST, MOST=_MOST, UNIT=1 / _DRAWS)
     kinds = dict(
-        SUNS=has_suns, WORLD=has_world, LOCAL=local, FIELDS=len(FIELDS), WIDTH=WIDTH, DRAWS=_DRAWS, LINKS=linked
+        SUNS=has_suns, WORLD=has_world, LOCAL=local, FIELDS=len(FIELDS), WIDTH=BLOCK_WIDTH, DRAWS=_DRAWS, LINKS=linked
     )
     fields = {f"FIELD_{name.upper()}": place for place, name in enumerate(FIELDS)}
-    headers = functools.partial(native_source, "lights/candidates.h", **numbers, **kinds, **fields)
+    defines = {**numbers, **kinds, **fields}
 
-    @wp.func_native(headers("lights/choose.h"))
+    @wp.func_native(native_source("lights/candidates.h", "lights/choose.h", **defines))
     def choose_by(table: LightTable, point: LitPoint, bits: wp.uint32, seed: wp.uint32) -> wp.vec2i: ...
 
-    @wp.func_native(headers("lights/probability.h"))
+    @wp.func_native(native_source("lights/candidates.h", "lights/probability.h", **defines))
     def pdf(table: LightTable, point: LitPoint, emitter: int) -> float: ...
 
     @wp.func

@@ -10,11 +10,11 @@ import warp as wp
 
 from ...device.kernel import KERNEL_OPTIONS
 from ...scene.geometry import Geometry, triangle_vertices
-from .choice_table import FIELDS, WIDTH, ChoiceTable
+from .choice_table import BLOCK_WIDTH, FIELDS, ChoiceTable
 from .tree.topology import Joints
 
 # Where the numbers of a block of one kind begin
-_ROWS = {name: place * WIDTH for place, name in enumerate(FIELDS)}
+_ROWS = {name: place * BLOCK_WIDTH for place, name in enumerate(FIELDS)}
 # Rounding of an angle whose cosine is stored [rad]
 _ANGLE_ERROR = wp.constant(5.0e-4)
 
@@ -195,14 +195,15 @@ def _extent(tree: LightBlocks, node: int) -> float:
 
 @wp.func
 def _open(tree: LightBlocks, node: int, open: wp.array(dtype=int), extents: wp.array(dtype=float)) -> int:
-    """Write up to `WIDTH` nodes that hold all emitters below `node` to `open`; their number. Of those that are open the
-    one of the most power over the widest sphere is replaced by its two, again and again. `extents` has as many entries.
+    """Write up to `BLOCK_WIDTH` nodes that hold all emitters below `node` to `open`; their number. Of those that are
+    open the one of the most power over the widest sphere is replaced by its two, again and again. `extents` has as many
+    entries.
     """
     open[0] = node
     extents[0] = _extent(tree, node)
     count = int(1)
     going = bool(True)
-    while going and count < wp.static(WIDTH):
+    while going and count < wp.static(BLOCK_WIDTH):
         widest = int(-1)
         extent = float(-1.0)
         for k in range(count):
@@ -226,8 +227,8 @@ def find_blocks_kernel(tree: LightBlocks, first: int):
     """Give a block to each inner node right below the blocks from `first` on. Which number it gets depends on the order
     of threads; what is chosen does not depend on it.
     """
-    open = wp.zeros(wp.static(WIDTH), dtype=int)
-    extents = wp.zeros(wp.static(WIDTH), dtype=float)
+    open = wp.zeros(wp.static(BLOCK_WIDTH), dtype=int)
+    extents = wp.zeros(wp.static(BLOCK_WIDTH), dtype=float)
     count = _open(tree, tree.block_node[first + wp.tid()], open, extents)
     for k in range(count):
         if open[k] >= tree.leaf_count:
@@ -238,7 +239,7 @@ def find_blocks_kernel(tree: LightBlocks, first: int):
 
 @wp.func
 def _write_node(choice: ChoiceTable, block: int, k: int, held: LightNode):
-    at = block * wp.static(WIDTH * len(FIELDS)) + k
+    at = block * wp.static(BLOCK_WIDTH * len(FIELDS)) + k
     choice.blocks[at + wp.static(_ROWS["x"])] = held.centre[0]
     choice.blocks[at + wp.static(_ROWS["y"])] = held.centre[1]
     choice.blocks[at + wp.static(_ROWS["z"])] = held.centre[2]
@@ -256,16 +257,16 @@ def _write_node(choice: ChoiceTable, block: int, k: int, held: LightNode):
 @wp.func
 def _write_leaf(choice: ChoiceTable, block: int, k: int, held: LightNode):
     _write_node(choice, block, k, held)
-    choice.below[block * wp.static(WIDTH) + k] = -1 - held.emitter
-    choice.leaf[held.emitter] = block * wp.static(WIDTH) + k
+    choice.below[block * wp.static(BLOCK_WIDTH) + k] = -1 - held.emitter
+    choice.leaf[held.emitter] = block * wp.static(BLOCK_WIDTH) + k
 
 
 @wp.kernel(**KERNEL_OPTIONS)
 def fill_blocks_kernel(tree: LightBlocks, choice: ChoiceTable, first: int):
     """Nodes of the blocks from `first` on."""
     block = first + wp.tid()
-    open = wp.zeros(wp.static(WIDTH), dtype=int)
-    extents = wp.zeros(wp.static(WIDTH), dtype=float)
+    open = wp.zeros(wp.static(BLOCK_WIDTH), dtype=int)
+    extents = wp.zeros(wp.static(BLOCK_WIDTH), dtype=float)
     count = _open(tree, tree.block_node[block], open, extents)
     for k in range(count):
         held = tree.nodes[open[k]].held
@@ -274,8 +275,8 @@ def fill_blocks_kernel(tree: LightBlocks, choice: ChoiceTable, first: int):
         else:
             _write_node(choice, block, k, held)
             lower = tree.block_of[open[k] - tree.leaf_count]
-            choice.below[block * wp.static(WIDTH) + k] = lower
-            choice.above[lower] = block * wp.static(WIDTH) + k
+            choice.below[block * wp.static(BLOCK_WIDTH) + k] = lower
+            choice.above[lower] = block * wp.static(BLOCK_WIDTH) + k
 
 
 @wp.kernel(**KERNEL_OPTIONS)

@@ -4,7 +4,7 @@ import warp as wp
 
 from ...scene.description import Visibility
 
-_SCATTERED = wp.constant(int(Visibility.DIFFUSE | Visibility.GLOSSY | Visibility.TRANSMISSION))
+SCATTERED_RAYS = wp.constant(int(Visibility.DIFFUSE | Visibility.GLOSSY | Visibility.TRANSMISSION))
 
 
 @wp.func
@@ -14,5 +14,5 @@ def is_lit_in_part(visibility: int) -> bool:
     Such lights are left to light sampling, which knows the kinds of lobes apart; a scattered ray stands for all of
     them.
     """
-    kinds = visibility & _SCATTERED
-    return kinds != 0 and kinds != _SCATTERED
+    kinds = visibility & SCATTERED_RAYS
+    return kinds != 0 and kinds != SCATTERED_RAYS

@@ -8,7 +8,7 @@ import warp as wp
 from ...scene.description import ALL_SHADOW_SETS, Scene
 from ...scene.linking import links_lights, links_shadows
 from ...scene.passes import LIGHT_GROUP, light_group_passes
-from .choice_table import WIDTH, ChoiceTable
+from .choice_table import BLOCK_WIDTH, ChoiceTable
 
 
 def upload_links(scene: Scene, choice: ChoiceTable, triangle_instance: np.ndarray, device: wp.Device) -> None:
@@ -60,5 +60,5 @@ def _of_nodes(choice: ChoiceTable, owners: np.ndarray, first: int, triangle_inst
     nodes[leaf[placed]] = owners[owner[placed]]
     above = choice.above.numpy()
     for block in range(len(above) - 1, 0, -1):  # blocks nearer to the root come first
-        nodes[above[block]] |= np.bitwise_or.reduce(nodes[block * WIDTH : (block + 1) * WIDTH])
+        nodes[above[block]] |= np.bitwise_or.reduce(nodes[block * BLOCK_WIDTH : (block + 1) * BLOCK_WIDTH])
     return nodes

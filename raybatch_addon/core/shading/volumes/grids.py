@@ -10,6 +10,8 @@ from ...scene.frozen import fact
 
 # Voxels along an edge of a tile
 TILE = 8
+# Corners of a unit cube
+CUBE_CORNERS = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)])
 
 
 def tiles_of(grid: Grid) -> tuple[np.ndarray, np.ndarray]:

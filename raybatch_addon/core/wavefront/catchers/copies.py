@@ -8,7 +8,7 @@ from ...shading.lights.light_table import LightTable
 from ..rays import Paths
 from .state import Life
 
-WORLD, COPY = int(Life.WORLD), int(Life.COPY)
+_WORLD, _COPY = int(Life.WORLD), int(Life.COPY)
 
 
 @wp.func
@@ -23,7 +23,7 @@ def life_of(paths: Paths, path: int) -> int:
 @wp.func
 def is_copy(paths: Paths, path: int) -> bool:
     """Whether a path is a copy that sees shadow catchers alone."""
-    return life_of(paths, path) >= wp.static(COPY)
+    return life_of(paths, path) >= wp.static(_COPY)
 
 
 @wp.func
@@ -40,7 +40,7 @@ def is_in_vacuum(paths: Paths, path: int, inside: wp.vec4i) -> bool:
     and for rays that look at the world behind a catcher.
     """
     nowhere = inside[0] == 0 and inside[1] == 0 and inside[2] == 0 and inside[3] == 0
-    return nowhere and life_of(paths, path) >= wp.static(WORLD)
+    return nowhere and life_of(paths, path) >= wp.static(_WORLD)
 
 
 @wp.func

@@ -16,12 +16,13 @@ from ..rays import VISIBILITY_SHIFT, Paths, Status, bounce_of
 from ..volumes.table import MediaState
 from .state import CaughtPaths, Life
 
-ALIVE, ENDED, RAY_NEW, SHADOW_NEW = (int(s) for s in (Status.ALIVE, Status.ENDED, Status.RAY_NEW, Status.SHADOW_NEW))
-INSIDE, HIT = int(Status.INSIDE), int(Status.HIT)
-WAITING = int(Status.RAY_NEW | Status.RAY_OUT | Status.SHADOW_NEW | Status.SHADOW_OUT)
-CAMERA, SHADOW, ALL = int(Visibility.CAMERA), int(Visibility.SHADOW), int(Visibility.ALL)
-MAIN, WORLD, COPY, NEW_COPY = (int(life) for life in (Life.MAIN, Life.WORLD, Life.COPY, Life.NEW_COPY))
-RESTARTED = int(Status.ALIVE | Status.RAY_NEW) | CAMERA << VISIBILITY_SHIFT
+_ALIVE, _ENDED = int(Status.ALIVE), int(Status.ENDED)
+_RAY_NEW, _SHADOW_NEW = int(Status.RAY_NEW), int(Status.SHADOW_NEW)
+_INSIDE, _HIT = int(Status.INSIDE), int(Status.HIT)
+_WAITING = int(Status.RAY_NEW | Status.RAY_OUT | Status.SHADOW_NEW | Status.SHADOW_OUT)
+_CAMERA, _SHADOW, _ALL = int(Visibility.CAMERA), int(Visibility.SHADOW), int(Visibility.ALL)
+_MAIN, _WORLD, _COPY, _NEW_COPY = (int(life) for life in (Life.MAIN, Life.WORLD, Life.COPY, Life.NEW_COPY))
+RESTARTED = int(Status.ALIVE | Status.RAY_NEW) | _CAMERA << VISIBILITY_SHIFT
 
 
 @wp.kernel(**KERNEL_OPTIONS)
@@ -35,18 +36,18 @@ def catch_kernel(paths: Paths, rays: Rays, caught: CaughtPaths, slots: wp.array(
     path = slots[i]
     status = paths.status[path]
     life = paths.passes[0].life[path]
-    if life == wp.static(WORLD) or life == wp.static(NEW_COPY):
+    if life == wp.static(_WORLD) or life == wp.static(_NEW_COPY):
         paths.radiance[path] = wp.vec3(0.0, 0.0, 0.0)
         paths.throughput[path] = caught.throughput[path]
-        if life == wp.static(NEW_COPY):
-            paths.passes[0].life[path] = wp.static(COPY)
+        if life == wp.static(_NEW_COPY):
+            paths.passes[0].life[path] = wp.static(_COPY)
         return
-    if bounce_of(status) != 0 or (status & wp.static(INSIDE | HIT)) != wp.static(HIT) or life != 0:
+    if bounce_of(status) != 0 or (status & wp.static(_INSIDE | _HIT)) != wp.static(_HIT) or life != 0:
         return
     if caught.is_catcher[rays.hit_instance[path]] == 0:
         return
     throughput = paths.throughput[path]
-    paths.passes[0].life[path] = wp.static(MAIN)
+    paths.passes[0].life[path] = wp.static(_MAIN)
     caught.origin[path] = rays.origin[path]
     caught.direction[path] = rays.direction[path]
     caught.t_max[path] = rays.t_max[path]
@@ -127,16 +128,16 @@ def _begin_again(paths: Paths, rays: Rays, media: MediaState, caught: CaughtPath
     rays.origin[path] = caught.origin[path]
     rays.direction[path] = caught.direction[path]
     rays.t_max[path] = caught.t_max[path]
-    rays.visibility[path] = wp.where(life >= wp.static(COPY), wp.static(CAMERA << CATCHER_SHIFT), 0)
+    rays.visibility[path] = wp.where(life >= wp.static(_COPY), wp.static(_CAMERA << CATCHER_SHIFT), 0)
     paths.status[path] = wp.static(RESTARTED)
 
 
 @wp.func
 def _to_catchers(visibility: int) -> int:
     """A visibility for which there are catchers alone; the same if it is that already."""
-    kinds = visibility & wp.static(ALL)
+    kinds = visibility & wp.static(_ALL)
     if (visibility & wp.static(ALL_SHADOW_SETS << SHADOW_SET_SHIFT)) != 0:
-        kinds = wp.static(SHADOW)
+        kinds = wp.static(_SHADOW)
     if kinds == 0:
         return visibility
     return kinds << wp.static(CATCHER_SHIFT)
@@ -147,32 +148,32 @@ def lives_kernel(paths: Paths, rays: Rays, media: MediaState, caught: CaughtPath
     """Between turns: paths that are at the end of a life begin the next, and rays of copies see catchers alone."""
     path = wp.tid()
     status = paths.status[path]
-    if (status & wp.static(ALIVE)) == 0:
+    if (status & wp.static(_ALIVE)) == 0:
         return
     life = paths.passes[0].life[path]
     if life == 0:
         return
-    if (status & wp.static(ENDED | WAITING)) == wp.static(ENDED):
-        if life >= wp.static(COPY):
+    if (status & wp.static(_ENDED | _WAITING)) == wp.static(_ENDED):
+        if life >= wp.static(_COPY):
             _set_channels(caught.values, caught.copied, path, paths.radiance[path])
             _put_back(paths, caught, path)
             paths.radiance[path] = caught.radiance[path]
             paths.passes[0].life[path] = 0
             return
-        following = int(wp.static(NEW_COPY))
-        if life == wp.static(MAIN):
+        following = int(wp.static(_NEW_COPY))
+        if life == wp.static(_MAIN):
             _end_main(paths, caught, path)
             if caught.shows_world != 0:
-                following = wp.static(WORLD)
+                following = wp.static(_WORLD)
         else:
             _end_world(paths, caught, path)
         _put_back(paths, caught, path)
         _begin_again(paths, rays, media, caught, path, following)
         return
-    if life >= wp.static(COPY):
-        if (status & wp.static(RAY_NEW)) != 0:
+    if life >= wp.static(_COPY):
+        if (status & wp.static(_RAY_NEW)) != 0:
             rays.visibility[path] = _to_catchers(rays.visibility[path])
-        if (status & wp.static(SHADOW_NEW)) != 0:
+        if (status & wp.static(_SHADOW_NEW)) != 0:
             slot = paths.status.shape[0] + path
             rays.visibility[slot] = _to_catchers(rays.visibility[slot])
 

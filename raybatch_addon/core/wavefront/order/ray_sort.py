@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from enum import Enum
 
 import numpy as np
 import warp as wp
@@ -21,14 +20,8 @@ from ...native.build import native_source
 from ...rays import RayList, Rays
 
 KEY_BITS = 30
-
-
-class SortKey(Enum):
-    """The 30 bits of a key, the most significant first."""
-
-    OCTANT_ORIGIN = "octant, then the Morton code of 512 cells an axis"
-    ORIGIN_OCTANT = "Morton code of 32 cells an axis, octant, the rest of the code of 512 cells"
-    ORIGIN_DIRECTION = "Morton code in five dimensions: origin and octahedral direction, 64 cells an axis"
+"""Three of the octant, and nine of the cell along each axis."""
+_DIGIT_BITS = KEY_BITS // 3
 
 
 @wp.struct
@@ -39,16 +32,12 @@ class SortBox:
     scale: wp.vec3  # 1 / extent, and 0 along an axis without extent [1/m]
 
 
-def _defines(key: SortKey) -> dict[str, bool]:
-    return {each.name: each is key for each in SortKey}
-
-
 @functools.cache
-def key_kernel(key: SortKey) -> wp.Kernel:
+def key_kernel() -> wp.Kernel:
     """Kernel (rays, box, slots, count, keys, values) for CUDA: keys of the first `count[0]` of `slots`, and the largest
     key for the others, so that they stay behind; `values` is a copy of `slots`."""
 
-    @wp.func_native(native_source("sort/key.h", "sort/slot_key.h", **_defines(key)))
+    @wp.func_native(native_source("sort/key.h", "sort/slot_key.h", KEY_BITS=KEY_BITS))
     def ray_key(
         rays_origin: wp.array(dtype=wp.vec3),
         rays_direction: wp.array(dtype=wp.vec3),
@@ -78,11 +67,13 @@ def key_kernel(key: SortKey) -> wp.Kernel:
 
 
 @functools.cache
-def host_sort_kernel(key: SortKey) -> wp.Kernel:
+def host_sort_kernel() -> wp.Kernel:
     """Kernel (rays, box, slots, count, entries, result) for the CPU, launched once for a whole list: `result` holds the
     first `count[0]` of `slots`, sorted. `entries` is scratch of two entries a ray."""
 
-    @wp.func_native(native_source("sort/key.h", "sort/host_sort.h", device="cpu", **_defines(key)))
+    @wp.func_native(
+        native_source("sort/key.h", "sort/host_sort.h", device="cpu", KEY_BITS=KEY_BITS, DIGIT_BITS=_DIGIT_BITS)
+    )
     def sort(
         rays_origin: wp.array(dtype=wp.vec3),
         rays_direction: wp.array(dtype=wp.vec3),
@@ -108,9 +99,9 @@ def host_sort_kernel(key: SortKey) -> wp.Kernel:
     return sort_on_host
 
 
-def sort_kernel(device: wp.Device, key: SortKey = SortKey.OCTANT_ORIGIN) -> wp.Kernel:
+def sort_kernel(device: wp.Device) -> wp.Kernel:
     """The kernel that a `RaySorter` launches on `device`."""
-    return key_kernel(key) if device.is_cuda else host_sort_kernel(key)
+    return key_kernel() if device.is_cuda else host_sort_kernel()
 
 
 def sort_bytes_per_ray(is_cuda: bool) -> int:
@@ -122,21 +113,11 @@ class RaySorter:
     """Sorts lists of ray slots; holds the scratch of one worker."""
 
     def __init__(
-        self,
-        capacity: int,
-        device: wp.Device,
-        low: tuple[float, float, float],
-        high: tuple[float, float, float],
-        key: SortKey = SortKey.OCTANT_ORIGIN,
-        digit_bits: int = KEY_BITS,
+        self, capacity: int, device: wp.Device, low: tuple[float, float, float], high: tuple[float, float, float]
     ):
-        """Scratch for lists of at most `capacity` rays in the box `low` to `high` [m].
-
-        `digit_bits` is how many leading bits of the key CUDA sorts by: it takes a pass for every eight.
-        """
+        """Scratch for lists of at most `capacity` rays in the box `low` to `high` [m]."""
         self._device, self._capacity = device, capacity
-        self._first_bit = KEY_BITS - digit_bits
-        self._kernel = sort_kernel(device, key)
+        self._kernel = sort_kernel(device)
         extent = np.asarray(high, np.float64) - np.asarray(low, np.float64)
         scale = np.divide(1.0, extent, out=np.zeros(3), where=extent > 1e-30)
         self._box = SortBox()
@@ -166,5 +147,5 @@ class RaySorter:
         inputs = [rays, self._box, listed.slots, listed.count, self._keys, self._sorted]
         wp.launch(self._kernel, listed.bound if self._device.is_cuda else 1, inputs, device=self._device)
         if self._device.is_cuda:
-            wp.utils.radix_sort_pairs(self._keys, self._sorted, listed.bound, self._first_bit, KEY_BITS)
+            wp.utils.radix_sort_pairs(self._keys, self._sorted, listed.bound, 0, KEY_BITS)
         return dataclasses.replace(listed, slots=self._sorted)

@@ -8,19 +8,15 @@ from ...scene.description import ClosureKind
 from ...shading.bsdf.albedo import AlbedoTables
 from ...shading.bsdf.ggx import ggx_slope
 from ...shading.bsdf.lobes import Lobe, make_lobes
-from ...shading.bsdf.materials import MICROFACET_KINDS, REFLECTION_KINDS, ClosureFeatures, ClosureRecord, ShadingFrame
+from ...shading.bsdf.materials import DIFFUSE_KINDS, REFLECTION_KINDS, ClosureFeatures, ClosureRecord, ShadingFrame
 
 _K = ClosureKind
 _GLASS = wp.constant(int(_K.GLASS))
 _SHEET = wp.constant(int(_K.SHEET))
 _REFRACTION = wp.constant(int(_K.REFRACTION))
 _PHONG = wp.constant(int(_K.ASHIKHMIN_SHIRLEY))
-# Closures that scatter by no facets; light below a surface comes out of it by Lambert's law
-_DIFFUSE_KINDS = tuple(
-    kind
-    for kind in ClosureKind
-    if kind.is_model and kind not in MICROFACET_KINDS | {_K.TRANSPARENT, _K.RAY_PORTAL, _K.EMISSION, _K.HOLDOUT}
-) + (_K.SUBSURFACE,)
+# Light below a surface comes out of it by Lambert's law
+_DIFFUSE_KINDS = (*DIFFUSE_KINDS, _K.SUBSURFACE)
 
 
 @wp.struct

@@ -8,7 +8,7 @@ from ...rays import Rays
 from ..rays import Paths, Status, visibility_of
 from .state import Requests
 
-RAY_NEW, HIT = int(Status.RAY_NEW), int(Status.HIT)
+_RAY_NEW, _HIT = int(Status.RAY_NEW), int(Status.HIT)
 # Dimension sets of requests: between those of walks and of volumes, one for each of so many of a surface
 FIRST_DIMENSION = 2 << 30
 REQUESTS_MOST = 256
@@ -21,7 +21,7 @@ def send(requests: Requests, paths: Paths, rays: Rays, path: int, origin: wp.vec
     rays.origin[path] = origin
     rays.direction[path] = direction
     rays.t_max[path] = length
-    paths.status[path] = (paths.status[path] & wp.static(~HIT)) | wp.static(RAY_NEW)
+    paths.status[path] = (paths.status[path] & wp.static(~_HIT)) | wp.static(_RAY_NEW)
 
 
 @wp.func
@@ -48,4 +48,4 @@ def give_back(requests: Requests, paths: Paths, rays: Rays, path: int):
     rays.hit_uv[path] = requests.hit_uv[path]
     if rays.visibility.shape[0] > 0:
         rays.visibility[path] = visibility_of(paths.status[path])
-    paths.status[path] = paths.status[path] | wp.static(HIT)
+    paths.status[path] = paths.status[path] | wp.static(_HIT)

@@ -19,7 +19,7 @@ from ...scene.description import ClosureKind, Visibility
 from ...scene.program import ProgramFeatures
 from ...shading.bsdf.bsdf import ClosureFeatures, make_bsdf
 from ...shading.bsdf.materials import (
-    MICROFACET_KINDS,
+    DIFFUSE_KINDS,
     RECORD_FLOATS,
     SURFACE_NORMAL,
     ClosureRecord,
@@ -44,12 +44,6 @@ from .probes import occlusion_probe
 from .state import Phase, Requests
 
 _ELSEWHERE = int(Status.RAY_NEW | Status.INSIDE)
-_K = ClosureKind
-_DIFFUSE_KINDS = tuple(
-    kind
-    for kind in _K
-    if kind.is_model and kind not in MICROFACET_KINDS | {_K.TRANSPARENT, _K.RAY_PORTAL, _K.EMISSION, _K.HOLDOUT}
-)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,8 +72,8 @@ def make_occlusion(features: OcclusionFeatures) -> wp.Function:
     surface_point = make_surface_point(features.instancing, features.smooth_normals, features.curves, features.moving)
     kinds = ClosureFeatures(features.closures)
     transparency = make_bsdf(kinds).transparency
-    own_normal = make_normals(kinds.has(_K.OWN_NORMAL))[1]
-    is_diffuse = kinds.test(_DIFFUSE_KINDS)
+    own_normal = make_normals(kinds.has(ClosureKind.OWN_NORMAL))[1]
+    is_diffuse = kinds.test(DIFFUSE_KINDS)
     programs = features.programs
     run = make_run(programs)
 

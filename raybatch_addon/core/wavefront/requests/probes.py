@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from ...float32 import PI
 from ...shading.sampling import bitangent_of, sample_cosine_hemisphere, tangent_of, to_world
 from ...shading.surface import SurfacePoint, spawn_origin
 
@@ -37,7 +38,7 @@ def cubic_density(radius: float, r: float) -> float:
     if r >= radius:
         return 0.0
     left = 1.0 - r / radius
-    return wp.static(10.0 / 3.141592653589793) * left * left * left / (radius * radius)
+    return wp.static(10.0 / PI) * left * left * left / (radius * radius)
 
 
 @wp.func

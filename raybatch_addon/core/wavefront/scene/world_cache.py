@@ -9,11 +9,11 @@ from collections.abc import Callable
 import numpy as np
 import warp as wp
 
-from ...scene.description import Scene, Visibility, World
+from ...scene.description import Scene, World
+from ...shading.lights.light_visibility import SCATTERED_RAYS
 from ...shading.lights.world import SampledWorld, is_even, sampled_world
 from .unchanged import Last, camera_key, images_of, pictures_of
 
-_SCATTERED = int(Visibility.DIFFUSE | Visibility.GLOSSY | Visibility.TRANSMISSION)
 _OF_RAYS = {"light_path", "path_history", "portal_depth"}  # ops
 
 
@@ -54,7 +54,7 @@ def _may_vary(world: World) -> bool:
     """Whether texels do not show if the world is the same everywhere: where only some kinds of rays see it, or it looks
     at the ray, of which they know one kind.
     """
-    in_part = int(world.visibility) & _SCATTERED not in (0, _SCATTERED)
+    in_part = int(world.visibility) & SCATTERED_RAYS not in (0, SCATTERED_RAYS)
     return in_part or not _OF_RAYS.isdisjoint(world.program.ops)
 
 

@@ -21,8 +21,8 @@ from .surface.history import DEPTHS
 from .work import TileWork
 
 RAY_OUT = int(Status.RAY_OUT)
-SHADOW_OUT = int(Status.SHADOW_OUT)
-HIT = int(Status.HIT)
+_SHADOW_OUT = int(Status.SHADOW_OUT)
+_HIT = int(Status.HIT)
 
 
 @wp.kernel(**KERNEL_OPTIONS)
@@ -32,9 +32,9 @@ def settle_kernel(paths: Paths, rays: Rays, slots: wp.array(dtype=int), count: w
     if i >= count[0]:
         return
     path = slots[i]
-    status = paths.status[path] & ~wp.static(RAY_OUT | HIT)
+    status = paths.status[path] & ~wp.static(RAY_OUT | _HIT)
     if rays.hit_instance[path] >= 0:
-        status = status | wp.static(HIT)
+        status = status | wp.static(_HIT)
     paths.status[path] = status
 
 
@@ -57,7 +57,7 @@ def make_connect(clamping: bool, splits_light: bool, light_groups: bool = False)
             if wp.static(clamping):
                 light = clamped(limits, light, bounce)
             add_light(paths, path, light, bounce, True)
-        paths.status[path] = paths.status[path] & ~wp.static(SHADOW_OUT)
+        paths.status[path] = paths.status[path] & ~wp.static(_SHADOW_OUT)
 
     return connect
 
@@ -163,6 +163,6 @@ def make_connect_program(features: ConnectFeatures) -> wp.Function:
         if rays.hit_instance[slot] < 0:
             light = arrived(data, limits, paths, rays, path, slot)
             add_light(paths, path, light, bounce_to_light(paths.status[path]), True)
-        paths.status[path] = paths.status[path] & ~wp.static(SHADOW_OUT)
+        paths.status[path] = paths.status[path] & ~wp.static(_SHADOW_OUT)
 
     return connect_program

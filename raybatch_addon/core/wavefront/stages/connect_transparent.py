@@ -32,8 +32,8 @@ from .surface.program import (
 from .work import ShadingStage, TileWork
 
 CONNECT = int(ShadingStage.CONNECT)
-SHADOW_NEW = int(Status.SHADOW_NEW)
-SHADOW_OUT = int(Status.SHADOW_OUT)
+_SHADOW_NEW = int(Status.SHADOW_NEW)
+_SHADOW_OUT = int(Status.SHADOW_OUT)
 
 
 @functools.cache
@@ -56,7 +56,7 @@ def make_connect_transparent(features: SurfaceFeatures, connect: ConnectFeatures
         data: SceneData, work: TileWork, limits: PathLimits, paths: Paths, rays: Rays, film: FilmTile, slot: int
     ):
         path = slot - paths.status.shape[0]
-        status = paths.status[path] & ~wp.static(SHADOW_OUT)
+        status = paths.status[path] & ~wp.static(_SHADOW_OUT)
         passed = paths.passed[path]
         if rays.hit_instance[slot] < 0:
             brought = arrived(data, limits, paths, rays, path, slot)
@@ -117,7 +117,7 @@ def make_connect_transparent(features: SurfaceFeatures, connect: ConnectFeatures
                     rays.origin[slot] = origin
                     paths.shadow_light[path] = light
                     paths.passed[path] = passed + wp.static(SHADOW_PASS)
-                    status = status | wp.static(SHADOW_NEW)
+                    status = status | wp.static(_SHADOW_NEW)
         paths.status[path] = status
 
     return connect_transparent

@@ -32,7 +32,7 @@ from .generate import pixel_sample
 from .limits import PathLimits, clamped
 from .work import TileWork
 
-ENDED, INSIDE = int(Status.ENDED), int(Status.INSIDE)
+_ENDED, _INSIDE = int(Status.ENDED), int(Status.INSIDE)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,7 +96,7 @@ def make_light_hits_stage(
         direction = rays.direction[path]
         status = paths.status[path]
         if wp.static(subsurface):
-            if (status & wp.static(INSIDE)) != 0:
+            if (status & wp.static(_INSIDE)) != 0:
                 return
         t_min = float(0.0)
         if wp.static(transparency):
@@ -151,7 +151,7 @@ def make_background(features: BackgroundFeatures) -> wp.Function:
     ):
         status = paths.status[path]
         if wp.static(features.subsurface):
-            if (status & wp.static(INSIDE)) != 0:
+            if (status & wp.static(_INSIDE)) != 0:
                 return  # a step of a walk that met nothing
         bounce = bounce_of(status)
         throughput = paths.throughput[path]
@@ -208,6 +208,6 @@ def make_background(features: BackgroundFeatures) -> wp.Function:
                 where = pixel_sample(work, paths.item[path])
                 if where.sample == wp.uint32(0) and film.depth[where.pixel] == 0.0:
                     film.depth[where.pixel] = wp.static(DEPTH_OF_NOTHING)
-        paths.status[path] = status | wp.static(ENDED)
+        paths.status[path] = status | wp.static(_ENDED)
 
     return background

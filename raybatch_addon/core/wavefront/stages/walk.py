@@ -39,7 +39,7 @@ from .generate import pixel_sample
 from .limits import PathLimits, has_light
 from .work import TileWork
 
-RAY_NEW, ENDED, HIT, INSIDE = int(Status.RAY_NEW), int(Status.ENDED), int(Status.HIT), int(Status.INSIDE)
+_RAY_NEW, _ENDED, _HIT, _INSIDE = int(Status.RAY_NEW), int(Status.ENDED), int(Status.HIT), int(Status.INSIDE)
 # Dimension sets of walks: after those of bounces, eight a step, and eight more for the surface where a walk comes out
 _FIRST_DIMENSION = 1 << 30
 _STEP_DIMENSIONS = 8
@@ -192,7 +192,7 @@ def walk_kernel(features: WalkFeatures) -> wp.Kernel:
             return
         path = slots[i]
         status = paths.status[path]
-        if (status & wp.static(INSIDE)) == 0:
+        if (status & wp.static(_INSIDE)) == 0:
             return
         step = paths.walk.step[path]
         direction = rays.direction[path]
@@ -229,7 +229,7 @@ def walk_kernel(features: WalkFeatures) -> wp.Kernel:
                     )
                     rays.t_max[path] = wp.min(reach, wp.static(_LONGEST)) - at
                     paths.walk.gone[path] = at
-                    paths.status[path] = (status & wp.static(~HIT)) | wp.static(RAY_NEW)
+                    paths.status[path] = (status & wp.static(~_HIT)) | wp.static(_RAY_NEW)
                     return
         thickness = float(-1.0)
         if step == 1:
@@ -266,16 +266,16 @@ def walk_kernel(features: WalkFeatures) -> wp.Kernel:
             paths.throughput[path] = throughput
             paths.walk.step[path] = 0
             return
-        status = status & wp.static(~HIT)
+        status = status & wp.static(~_HIT)
         most = wp.max(throughput[0], wp.max(throughput[1], throughput[2]))
         if not goes_on or step >= wp.static(STEPS_MOST) or most < wp.static(THROUGHPUT_LEAST):
-            paths.status[path] = status | wp.static(ENDED)
+            paths.status[path] = status | wp.static(_ENDED)
             return
         paths.throughput[path] = throughput
         passed = int(0)
         if paths.passed.shape[0] > 0:
             passed = paths.passed[path] & wp.static(SHADOW_PASS - 1)
         scattered(work, limits, paths, rays, path, passed, start + length * direction)
-        paths.status[path] = status | wp.static(RAY_NEW)
+        paths.status[path] = status | wp.static(_RAY_NEW)
 
     return walk

@@ -21,9 +21,9 @@ from ...scene.moved import transform_at
 from ...scene.program import ProgramFeatures
 from ...shading.bsdf.materials import address_of
 from ...shading.sequences.keys import mix_bits, sequence_number
-from ...shading.volumes.grids import TILE, is_scalar, tiles_of
+from ...shading.volumes.grids import CUBE_CORNERS, TILE, is_scalar, tiles_of
 from ...shading.volumes.phase import PhaseLobe
-from .medium import LOBE_FLOATS, LOBES_MOST, WORLD_REACH, make_medium
+from .medium import LOBES_MOST, PHASE_LOBE_FLOATS, WORLD_REACH, make_medium
 from .segment import ray_point
 from .table import Bounds, BoundWork, VolumeData
 
@@ -38,9 +38,8 @@ _FLIGHTS_MOST = 4096.0
 # nothing, and that of a line from which on no light comes in
 _LINE_CELLS = 8
 _DIMS_LEAST, _DIMS_MOST = 1e-3, 7.0
-# Tiles of a grid whose voxels are looked at together, and corners of a unit cube
+# Tiles of a grid whose voxels are looked at together
 _TILES_TOGETHER = 2048
-_CORNERS = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)])
 # Kinds of rays, of which each has a bit, and that of rays that volumes scatter; each with bounce 0 and 1
 _KINDS = 5
 RAYS = 2 * (_KINDS + 1)
@@ -66,7 +65,7 @@ def make_bound(programs: ProgramFeatures) -> wp.Function:
     @wp.func
     def bound(volumes: VolumeData, i: int):
         cells = volumes.asked.cells
-        floats = wp.zeros(wp.static(LOBES_MOST * LOBE_FLOATS), dtype=float)
+        floats = wp.zeros(wp.static(LOBES_MOST * PHASE_LOBE_FLOATS), dtype=float)
         lobes = wp.array(ptr=address_of(floats), shape=(wp.static(LOBES_MOST),), dtype=PhaseLobe)
         z = i % cells
         y = (i / cells) % cells
@@ -212,7 +211,7 @@ def _peaks(grid: Grid, low: np.ndarray, size: np.ndarray, cells: int) -> np.ndar
         if not is_scalar(grid):
             values = np.abs(values).max(-1)
         # of a tile in one cell the largest value alone
-        ends = (corner[:, None] + (TILE - 1) * _CORNERS) @ to_object[:, :3].T + to_object[:, 3]
+        ends = (corner[:, None] + (TILE - 1) * CUBE_CORNERS) @ to_object[:, :3].T + to_object[:, 3]
         in_cells = cell_of(ends)
         alone = (in_cells.min(1) == in_cells.max(1)).all(1)
         flat = values[alone].reshape(-1, TILE**3)

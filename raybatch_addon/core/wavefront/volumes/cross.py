@@ -18,7 +18,7 @@ from ..rays import Paths, Status, time_of
 from ..scene.scene_data import SceneData
 from .table import BACK, FRONT, VolumeData, across, entered, holds, left
 
-RAY_NEW, SHADOW_NEW, INSIDE = int(Status.RAY_NEW), int(Status.SHADOW_NEW), int(Status.INSIDE)
+_RAY_NEW, _SHADOW_NEW, _INSIDE = int(Status.RAY_NEW), int(Status.SHADOW_NEW), int(Status.INSIDE)
 
 
 @wp.kernel(**KERNEL_OPTIONS)
@@ -122,13 +122,13 @@ def cross_kernel(instancing: bool, smooth_normals: bool, curves: bool, moving: b
         path = slots[i]
         side = volumes.state.side[path]
         status = paths.status[path]
-        if side == 0 or (status & wp.static(RAY_NEW | SHADOW_NEW)) == 0:
+        if side == 0 or (status & wp.static(_RAY_NEW | _SHADOW_NEW)) == 0:
             return
         instance = rays.hit_instance[path]
         material = material_at(data.geometry, instance, rays.hit_primitive[path])
         # the same volumes are on both sides, but where their faces may be in the same place
         if volumes.volume_of[material] < 0 and volumes.enclosures.touching == 0:
-            if (status & wp.static(SHADOW_NEW)) != 0:
+            if (status & wp.static(_SHADOW_NEW)) != 0:
                 volumes.state.shadow_inside[path] = volumes.state.inside[path]
                 volumes.state.shadow_segment[path] = 0
             return
@@ -141,12 +141,12 @@ def cross_kernel(instancing: bool, smooth_normals: bool, curves: bool, moving: b
         inside = volumes.state.inside[path]
         closed = is_closed(data.geometry, instance, rays.hit_primitive[path])
         behind = behind_surface(data.geometry, volumes, inside, instance, surface, -normal, closed)
-        if (status & wp.static(SHADOW_NEW)) != 0:
+        if (status & wp.static(_SHADOW_NEW)) != 0:
             goes_behind = wp.dot(rays.direction[paths.status.shape[0] + path], normal) < 0.0
             volumes.state.shadow_inside[path] = wp.where(goes_behind, behind, inside)
             volumes.state.shadow_segment[path] = 0
         # a step of a walk below the surface is in that medium alone, and comes out here again
-        if (status & wp.static(RAY_NEW)) != 0 and (status & wp.static(INSIDE)) == 0:
+        if (status & wp.static(_RAY_NEW)) != 0 and (status & wp.static(_INSIDE)) == 0:
             if wp.dot(rays.direction[path], normal) < 0.0:
                 volumes.state.inside[path] = behind
                 if volumes.is_boundary[material] != 0:

@@ -12,14 +12,14 @@ from ...scene.description import ClosureKind
 from ...scene.geometry import transform_point, transform_vector
 from ...scene.moved import inverse_at, motion_row
 from ...scene.program import ProgramFeatures
-from ...shading.bsdf.materials import RECORD_FLOATS, ClosureRecord, address_of
+from ...shading.bsdf.materials import RECORD_FLOATS, ClosureRecord, address_of, address_of_closure
 from ...shading.volumes.enclosures import FARTHEST
 from ...shading.volumes.phase import PhaseLobe, phase_pdf, phase_value, sampled_cosine
 from .table import INSIDE_MOST, VolumeData, entry
 
 # Scattering closures of a point; those beyond them scatter as the last one
 LOBES_MOST = 16
-LOBE_FLOATS = PhaseLobe.numpy_dtype()["itemsize"] // 4
+PHASE_LOBE_FLOATS = PhaseLobe.numpy_dtype()["itemsize"] // 4
 # How far a ray goes into the next cell at least [cells]
 _CELL_STEP = 1e-3
 # How far the outermost cells of the world's volume go on [sizes of its grid]: beyond, it is empty
@@ -59,10 +59,6 @@ def passes(extinction: wp.vec3, length: float) -> wp.vec3:
     return wp.vec3(wp.exp(-extinction[0] * reach), wp.exp(-extinction[1] * reach), wp.exp(-extinction[2] * reach))
 
 
-@wp.func_native("return reinterpret_cast<wp::uint64>(closures.data + first);")
-def _address_of_closures(closures: wp.array(dtype=ClosureRecord), first: int) -> wp.uint64: ...
-
-
 @functools.cache
 def make_medium(programs: ProgramFeatures) -> wp.Function:
     """Function (volumes, inside: vec4i, point: ShadingPoint, lobes: array of PhaseLobe) -> Coefficients: what there is
@@ -84,7 +80,7 @@ def make_medium(programs: ProgramFeatures) -> wp.Function:
             if volume >= 0:
                 first = volumes.closure_first[volume]
                 count = volumes.closure_first[volume + 1] - first
-                address = _address_of_closures(volumes.closures, first)
+                address = address_of_closure(volumes.closures, first)
                 if wp.static(bool(programs)):
                     word = int(-1)
                     if volumes.nodes.program_first.shape[0] > 0:  # general kernels: none of the volumes may have any

@@ -40,14 +40,14 @@ from ..stages.work import TileWork
 from .along import Sought, sought_in_bounds, sought_in_constant, towards_light
 from .features import VolumeFeatures
 from .lights import Way, make_lights_ahead
-from .medium import LOBE_FLOATS, LOBES_MOST, Coefficients, has_program, make_medium
+from .medium import LOBES_MOST, PHASE_LOBE_FLOATS, Coefficients, has_program, make_medium
 from .segment import constant_way, ray_point, scattering_shares
 from .table import AIMED, BACK, FRONT, GOES_ON, IN_VACUUM, VolumeData, innermost_instance, is_empty
 from .track import SCATTERED, STOPPED, Track, make_track
 from .vertex import make_aim_in_volume, make_scattered
 
-RAY_NEW, ENDED, HIT, INSIDE = int(Status.RAY_NEW), int(Status.ENDED), int(Status.HIT), int(Status.INSIDE)
-STRAIGHT, SHADOW_NEW = int(Status.STRAIGHT), int(Status.SHADOW_NEW)
+_RAY_NEW, _ENDED, _HIT, _INSIDE = int(Status.RAY_NEW), int(Status.ENDED), int(Status.HIT), int(Status.INSIDE)
+_STRAIGHT, _SHADOW_NEW = int(Status.STRAIGHT), int(Status.SHADOW_NEW)
 # Pieces of a path's way: more of them are rays that go round in a circle between two surfaces
 SEGMENTS_MOST = 1 << 16
 
@@ -110,7 +110,7 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
             volumes.state.side[path] = side_of(data, volumes, paths, rays, path)
         over = volumes.state.segment[path] >= wp.static(SEGMENTS_MOST)
         if (bounce_of(status) > 0 and not has_light(paths.throughput[path])) or over:
-            status = status | wp.static(ENDED)
+            status = status | wp.static(_ENDED)
         paths.status[path] = status
 
     @wp.func
@@ -120,7 +120,7 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
         status = paths.status[path]
         volumes.state.side[path] = 0
         if wp.static(features.subsurface):
-            if (status & wp.static(INSIDE)) != 0:
+            if (status & wp.static(_INSIDE)) != 0:
                 # a walk below a surface that came out, as if it had been reflected there
                 volumes.state.side[path] = wp.static(FRONT)
                 return
@@ -130,16 +130,16 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
         length = rays.t_max[path]
         if hit:
             length = rays.hit_t[path]
-        floats = wp.zeros(wp.static(LOBES_MOST * LOBE_FLOATS), dtype=float)
+        floats = wp.zeros(wp.static(LOBES_MOST * PHASE_LOBE_FLOATS), dtype=float)
         lobes = wp.array(ptr=address_of(floats), shape=(wp.static(LOBES_MOST),), dtype=PhaseLobe)
-        lit_floats = wp.zeros(wp.static(LOBES_MOST * LOBE_FLOATS), dtype=float)
+        lit_floats = wp.zeros(wp.static(LOBES_MOST * PHASE_LOBE_FLOATS), dtype=float)
         lit_lobes = wp.array(ptr=address_of(lit_floats), shape=(wp.static(LOBES_MOST),), dtype=PhaseLobe)
         bounce = bounce_of(status)
         goes_on = (volumes.state.lit[path] & wp.static(GOES_ON)) != 0
         if (volumes.state.lit[path] & wp.static(AIMED)) != 0:
             # a shadow ray is back
             paths.passed[path] = paths.passed[path] - 1
-            status = status & wp.static(~STRAIGHT)
+            status = status & wp.static(~_STRAIGHT)
             paths.status[path] = status
             # those from behind this piece have other random numbers
             volumes.state.segment[path] = volumes.state.segment[path] + 1
@@ -242,7 +242,7 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
                     sent = aim(data, volumes, limits, paths, rays, path, v, inside, carried, way.lit.medium, lit_lobes)
                     if event != wp.static(SCATTERED) and sent != 0:
                         # it comes from behind one scattering more
-                        sent = wp.static(SHADOW_NEW | STRAIGHT)
+                        sent = wp.static(_SHADOW_NEW | _STRAIGHT)
                         paths.passed[path] = paths.passed[path] + 1
                         volumes.state.lit[path] = wp.static(AIMED)
 
@@ -297,11 +297,11 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
             paths.passed_t[path] = before + reach
             rays.origin[path] = origin + reach * direction
             rays.t_max[path] = rays.t_max[path] - reach
-            status = status & wp.static(~HIT)
+            status = status & wp.static(~_HIT)
             if has_light(left) and number < wp.static(SEGMENTS_MOST):
-                paths.status[path] = status | wp.static(RAY_NEW)
+                paths.status[path] = status | wp.static(_RAY_NEW)
             else:
-                paths.status[path] = status | wp.static(ENDED)
+                paths.status[path] = status | wp.static(_ENDED)
             return
         volumes.state.scattered[path] = volumes.state.scattered[path] + 1
         v.dimension = wp.uint32(bounce + passed) * wp.uint32(DIMENSIONS_PER_BOUNCE)

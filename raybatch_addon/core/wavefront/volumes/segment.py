@@ -14,7 +14,7 @@ from ...shading.bsdf.subsurface import channel_shares
 from ...shading.volumes.enclosures import FARTHEST
 from ...shading.volumes.phase import PhaseLobe
 from .along import Sought, lit_length
-from .medium import LOBE_FLOATS, LOBES_MOST, Coefficients, has_program, make_medium, passes
+from .medium import LOBES_MOST, PHASE_LOBE_FLOATS, Coefficients, has_program, make_medium, passes
 from .table import VolumeData
 from .track import SCATTERED, Track, make_transmitted
 
@@ -61,7 +61,7 @@ def make_passed(programs: ProgramFeatures) -> wp.Function:
         if wp.static(bool(programs)):
             if has_program(volumes, inside):
                 return transmitted(volumes, inside, point, reach, stream)
-        floats = wp.zeros(wp.static(LOBES_MOST * LOBE_FLOATS), dtype=float)
+        floats = wp.zeros(wp.static(LOBES_MOST * PHASE_LOBE_FLOATS), dtype=float)
         lobes = wp.array(ptr=address_of(floats), shape=(wp.static(LOBES_MOST),), dtype=PhaseLobe)
         m = medium(volumes, inside, point, lobes)
         return passes(m.extinction, reach)

@@ -24,7 +24,7 @@ from ...shading.sequences.keys import mix_bits
 from ...shading.volumes.numbers import LIT_STREAM, stream_number
 from ...shading.volumes.phase import PhaseLobe
 from .along import Sought, density_by_light, length_by_light
-from .medium import LOBE_FLOATS, LOBES_MOST, Coefficients, bound_ahead, make_medium
+from .medium import LOBES_MOST, PHASE_LOBE_FLOATS, Coefficients, bound_ahead, make_medium
 from .table import VolumeData
 
 # Flights of a path between two rays: longer ways go on with a new ray
@@ -77,7 +77,7 @@ def make_transmitted(programs: ProgramFeatures) -> wp.Function:
     def transmitted(
         volumes: VolumeData, inside: wp.vec4i, point: ShadingPoint, length: float, stream: wp.uint32
     ) -> wp.vec3:
-        floats = wp.zeros(wp.static(LOBES_MOST * LOBE_FLOATS), dtype=float)
+        floats = wp.zeros(wp.static(LOBES_MOST * PHASE_LOBE_FLOATS), dtype=float)
         lobes = wp.array(ptr=address_of(floats), shape=(wp.static(LOBES_MOST),), dtype=PhaseLobe)
         direction = -point.incoming
         begin = point.position

@@ -26,7 +26,7 @@ from .features import VolumeFeatures
 from .medium import Coefficients, phase_sample, phase_sum
 from .table import VolumeData
 
-RAY_NEW, ENDED = int(Status.RAY_NEW), int(Status.ENDED)
+_RAY_NEW, _ENDED = int(Status.RAY_NEW), int(Status.ENDED)
 # The kind of ray that scattering in a volume makes, as objects and programs see it
 _SEEN_BY = int(Visibility.VOLUME_SCATTER)
 
@@ -113,7 +113,7 @@ def make_scattered(features: VolumeFeatures) -> wp.Function:
                     goes_on = False
                 carried = carried / survival
         if not goes_on:
-            return status | wp.static(ENDED)
+            return status | wp.static(_ENDED)
         if wp.static(features.splits_light):
             if v.bounce == 0 and paths.passes.shape[0] > 0:
                 divide_volume_ray(paths, path)
@@ -138,6 +138,6 @@ def make_scattered(features: VolumeFeatures) -> wp.Function:
         if volumes.state.scattered[path] > volumes.bounce_max:
             # the path has been scattered by volumes as often as it may: it finds light alone, as in Cycles
             bounce = wp.max(bounce, limits.bounce_max + 1)
-        return status | (bounce << wp.static(BOUNCE_SHIFT)) | wp.static(RAY_NEW)
+        return status | (bounce << wp.static(BOUNCE_SHIFT)) | wp.static(_RAY_NEW)
 
     return scattered

@@ -8,7 +8,7 @@ from raybatch_addon.core.bvh.build.binary import BuildOptions
 from raybatch_addon.core.bvh.build.collapse import CollapseCost, collapse_mesh
 from raybatch_addon.core.bvh.build.cpu.build import build_binary
 from raybatch_addon.core.bvh.build.cuda import build as build_cuda
-from raybatch_addon.core.bvh.build.cuda.build import DEPTH_MAX, DeviceMesh, build_mesh, build_top
+from raybatch_addon.core.bvh.build.cuda.build import LEVELS_MAX, DeviceMesh, build_mesh, build_top
 from raybatch_addon.core.bvh.margin import SLAB_MARGIN
 from raybatch_addon.core.bvh.node import Layout, WideMesh, aligned_empty, decode_children
 from raybatch_addon.core.errors import OutOfMemoryError, SceneError
@@ -56,7 +56,7 @@ def check(mesh: DeviceMesh, positions: np.ndarray, triangles: np.ndarray) -> Non
     depth = walk_tree(Layout.QUANTISED, host.nodes).depth
     assert (np.diff(depth) >= 0).all()
     assert mesh.level_first == np.searchsorted(depth, np.arange(mesh.depth + 1)).tolist()
-    assert mesh.depth <= DEPTH_MAX
+    assert mesh.depth <= LEVELS_MAX
 
 
 @pytest.mark.parametrize("mesh", [sphere(40), soup(3000), soup(500, size=2.0)], ids=["sphere", "soup", "overlapping"])
@@ -173,7 +173,7 @@ def test_a_row_of_growing_triangles_takes_few_rounds(device, count, ratio):
 def test_a_tree_that_is_too_deep_is_built_again(device, monkeypatch):
     mesh = graded(600, 1.1)
     assert build(device, *mesh).depth > 12
-    monkeypatch.setattr(build_cuda, "DEPTH_MAX", 12)
+    monkeypatch.setattr(build_cuda, "LEVELS_MAX", 12)
     monkeypatch.setattr(build_cuda, "ROUND_LIMIT_DEEP", 0)
     again = build(device, *mesh)
     check(again, *mesh)

@@ -8,7 +8,7 @@ import pytest
 from raybatch_addon.core.programs.builder import ProgramBuilder
 from raybatch_addon.core.programs.op import op_named
 from raybatch_addon.core.programs.ops.textures.gradient import GradientKind
-from raybatch_addon.core.programs.ops.textures.magic import DEPTH_MAX
+from raybatch_addon.core.programs.ops.textures.magic import MAGIC_DEPTH_MAX
 from raybatch_addon.core.programs.ops.textures.wave import WaveKind, WaveProfile
 from tests.core.programs.op_probe import run_op
 from tests.twins.hash_reference import jenkins
@@ -114,7 +114,7 @@ def magic_reference(p, depth, d):
 
 
 @pytest.mark.parametrize("distortion", [1.0, 0.0, -1.7])
-@pytest.mark.parametrize("depth", range(DEPTH_MAX + 1))
+@pytest.mark.parametrize("depth", range(MAGIC_DEPTH_MAX + 1))
 def test_magic_is_a_chain_of_sines(depth, distortion):
     points = points_within(1, 200)
     values, colors = run_op("magic", [depth], [points, 1.0, distortion])

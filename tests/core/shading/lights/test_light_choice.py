@@ -10,7 +10,7 @@ from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.scene.description import Closure, ClosureKind, Instances, Light, LightKind, Material, Mesh
 from raybatch_addon.core.scene.flatten import flatten
 from raybatch_addon.core.scene.geometry import Geometry, upload_geometry
-from raybatch_addon.core.shading.lights.choice_table import FIELDS, WIDTH
+from raybatch_addon.core.shading.lights.choice_table import BLOCK_WIDTH, FIELDS
 from raybatch_addon.core.shading.lights.emitters import EmissiveTriangles
 from raybatch_addon.core.shading.lights.light_choice import ChoiceFeatures, lit_point, make_light_choice, packed_side
 from raybatch_addon.core.shading.lights.light_table import LightTable, upload_lights
@@ -259,7 +259,7 @@ def irradiance_at(lights, geometry, position, normal):
 def test_many_lamps_together_light_as_each_alone():
     """None that shines is left out, and none counts twice."""
     many = [lamp for lamp in lamps(90, 6) if lamp.kind != LightKind.SUN]
-    assert len(many) > 4 * WIDTH
+    assert len(many) > 4 * BLOCK_WIDTH
     for position, normal, _ in POINTS[:2]:
         together = irradiance_at(*uploaded(many), position, normal)
         alone = [irradiance_at(*uploaded([lamp]), position, normal) for lamp in many]
@@ -276,18 +276,18 @@ def test_many_lamps_together_light_as_each_alone():
 def test_nodes_hold_what_lies_below(case):
     lights, _ = uploaded(*CASES[case])
     choice = lights.choice
-    fields = choice.blocks.numpy().reshape(-1, len(FIELDS), WIDTH)
+    fields = choice.blocks.numpy().reshape(-1, len(FIELDS), BLOCK_WIDTH)
     below, above, leaf = choice.below.numpy(), choice.above.numpy(), choice.leaf.numpy()
-    assert above[0] == -1 and len(fields) == len(above) == len(below) // WIDTH
+    assert above[0] == -1 and len(fields) == len(above) == len(below) // BLOCK_WIDTH
     assert choice.distant_count == sum(lamp.kind == LightKind.SUN for lamp in CASES[case][0]) + 1
 
     def node_at(number):
-        values = dict(zip(FIELDS, fields[number // WIDTH, :, number % WIDTH], strict=True))
+        values = dict(zip(FIELDS, fields[number // BLOCK_WIDTH, :, number % BLOCK_WIDTH], strict=True))
         values["centre"] = np.array([values[name] for name in "xyz"])
         values["axis"] = np.array([values[f"axis_{name}"] for name in "xyz"])
         return values
 
-    held, stack = [], [(number, []) for number in range(WIDTH)]
+    held, stack = [], [(number, []) for number in range(BLOCK_WIDTH)]
     while stack:
         at, over = stack.pop()
         node = node_at(at)
@@ -296,7 +296,7 @@ def test_nodes_hold_what_lies_below(case):
         assert node["cos_axis"] ** 2 + node["sin_axis"] ** 2 == pytest.approx(1, abs=1e-6)
         if below[at] >= 0:
             assert above[below[at]] == at
-            lower = range(below[at] * WIDTH, (below[at] + 1) * WIDTH)
+            lower = range(below[at] * BLOCK_WIDTH, (below[at] + 1) * BLOCK_WIDTH)
             stack += [(number, [*over, node]) for number in lower]
             powers = [node_at(number)["power"] for number in lower]
             assert sum(power > 0 for power in powers) >= 2

@@ -5,7 +5,7 @@ import pytest
 import warp as wp
 
 from raybatch_addon.core.rays import RayList, Rays
-from raybatch_addon.core.wavefront.order.ray_sort import KEY_BITS, RaySorter, SortKey, sort_bytes_per_ray, sort_kernel
+from raybatch_addon.core.wavefront.order.ray_sort import RaySorter, sort_bytes_per_ray, sort_kernel
 from tests.support.under_test import DEVICE
 
 F = np.float32
@@ -38,29 +38,16 @@ def interleaved(columns, bits):
     return key
 
 
-def twin_keys(origins, directions, low, high, kind):
+def twin_keys(origins, directions, low, high):
     """The keys by NumPy in float32, uint32 [n]."""
     o, d = np.asarray(origins, F), np.asarray(directions, F)
     extent = np.asarray(high, np.float64) - np.asarray(low, np.float64)
     scale = np.divide(1.0, extent, out=np.zeros(3), where=extent > 1e-30).astype(F)
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         p = (o - np.asarray(low, F)) * scale
-        if kind is SortKey.ORIGIN_DIRECTION:
-            length = np.abs(d[:, 0]) + np.abs(d[:, 1]) + np.abs(d[:, 2])
-            u, v = d[:, 0] / length, d[:, 1] / length
-            one = F(1)
-            folded_u = (one - np.abs(v)) * np.where(u < 0, -one, one)
-            folded_v = (one - np.abs(u)) * np.where(v < 0, -one, one)
-            u, v = np.where(d[:, 2] < 0, folded_u, u), np.where(d[:, 2] < 0, folded_v, v)
-            half = F(0.5)
-            return interleaved(
-                [cells_of(x, 64) for x in (half * u + half, half * v + half, p[:, 0], p[:, 1], p[:, 2])], 6
-            )
     code = interleaved([cells_of(p[:, axis], 512) for axis in range(3)], 9)
     octant = ((d < 0) * np.array([1, 2, 4])).sum(1).astype(np.uint32)
-    if kind is SortKey.OCTANT_ORIGIN:
-        return octant << np.uint32(27) | code
-    return (code >> np.uint32(12)) << np.uint32(15) | octant << np.uint32(12) | code & np.uint32(0xFFF)
+    return octant << np.uint32(27) | code
 
 
 def random_rays(n, seed):
@@ -68,22 +55,20 @@ def random_rays(n, seed):
     return rng.uniform(LOW, HIGH, (n, 3)), rng.normal(size=(n, 3)) * 10.0 ** rng.integers(-20, 20, (n, 1))
 
 
-def check(origins, directions, slots, low=LOW, high=HIGH, kind=SortKey.OCTANT_ORIGIN, count=None, bits=KEY_BITS):
+def check(origins, directions, slots, low=LOW, high=HIGH, count=None):
     rays, listed = rays_of(origins, directions), list_of(slots, count)
     count = len(slots) if count is None else count
-    result = RaySorter(len(slots), wp.get_device(DEVICE), low, high, kind, bits).sort(rays, listed)
+    result = RaySorter(len(slots), wp.get_device(DEVICE), low, high).sort(rays, listed)
     assert result.count is listed.count and result.bound == listed.bound
     assert np.array_equal(listed.slots.numpy(), slots), "the list that was given is as it was"
-    keys = twin_keys(np.asarray(origins)[slots[:count]], np.asarray(directions)[slots[:count]], low, high, kind)
-    used = keys >> np.uint32(KEY_BITS - bits) if DEVICE != "cpu" else keys
-    assert np.array_equal(result.slots.numpy()[:count], np.asarray(slots)[:count][np.argsort(used, kind="stable")])
+    keys = twin_keys(np.asarray(origins)[slots[:count]], np.asarray(directions)[slots[:count]], low, high)
+    assert np.array_equal(result.slots.numpy()[:count], np.asarray(slots)[:count][np.argsort(keys, kind="stable")])
 
 
-@pytest.mark.parametrize("kind", SortKey)
 @pytest.mark.parametrize("n", [1, 2, 5000])
-def test_slots_are_in_the_order_of_the_keys(n, kind):
+def test_slots_are_in_the_order_of_the_keys(n):
     slots = np.random.default_rng(1).permutation(2 * n)[:n]
-    check(*random_rays(2 * n, n), slots, kind=kind)
+    check(*random_rays(2 * n, n), slots)
 
 
 @pytest.mark.parametrize("count", [0, 1, 700])
@@ -91,26 +76,19 @@ def test_only_the_rays_of_the_list_are_sorted(count):
     check(*random_rays(1000, 3), np.arange(1000)[::-1], count=count)
 
 
-@pytest.mark.parametrize("bits", [16, 24])
-def test_fewer_digits_sort_by_the_leading_bits(bits):
-    check(*random_rays(3000, 4), np.arange(3000), bits=bits)
-
-
-@pytest.mark.parametrize("kind", SortKey)
 @pytest.mark.parametrize(
     "high",
     [(3.0, 2.0, 0.5), (-1.0, -2.0, 1.5), LOW, (-1.0 + 1e-40, -2.0, 0.5), (3e38, 3e38, 3e38)],
     ids=["flat", "line", "point", "tiny", "vast"],
 )
-def test_boxes_without_extent(high, kind):
-    check(*random_rays(500, 5), np.arange(500), high=high, kind=kind)
+def test_boxes_without_extent(high):
+    check(*random_rays(500, 5), np.arange(500), high=high)
 
 
-@pytest.mark.parametrize("kind", SortKey)
-def test_odd_rays_have_a_place(kind):
+def test_odd_rays_have_a_place():
     special = [0.0, -0.0, 1.0, -1.0, 1e-38, -1e38, np.inf, -np.inf, np.nan]
     grid = np.stack(np.meshgrid(special, special, special), -1).reshape(-1, 3)
-    check(grid, np.roll(grid, 100, axis=0), np.arange(len(grid)), kind=kind)
+    check(grid, np.roll(grid, 100, axis=0), np.arange(len(grid)))
 
 
 def test_equal_rays_keep_their_order():
@@ -122,7 +100,7 @@ def test_a_sorter_is_used_again_for_lists_of_other_lengths():
     rays, sorter = rays_of(origins, directions), RaySorter(900, wp.get_device(DEVICE), LOW, HIGH)
     for n in (900, 10, 500):
         result = sorter.sort(rays, list_of(np.arange(n)))
-        keys = twin_keys(origins[:n], directions[:n], LOW, HIGH, SortKey.OCTANT_ORIGIN)
+        keys = twin_keys(origins[:n], directions[:n], LOW, HIGH)
         assert np.array_equal(result.slots.numpy()[:n], np.argsort(keys, kind="stable"))
 
 

@@ -14,6 +14,7 @@ import warp as wp
 from ....device.kernel import KERNEL_OPTIONS
 from ....native.build import native_source
 from ....native.structs import struct_defines
+from ..binary import DEPTH_MAX
 
 INDEX_BIAS = 127 << 23
 """Added to the bits of a record's triangle (`native/binary/records.h`)."""
@@ -141,6 +142,7 @@ class BuildNumbers:
         device="cpu",
         INDEX_BIAS=INDEX_BIAS,
         BINS_MAX=BINS_MAX,
+        DEPTH_MAX=DEPTH_MAX,
         **struct_defines(TASK=TASK, JOB=JOB, BINS=BINS, SPATIAL_BINS=SPATIAL_BINS),
         **{each.name: each.value for each in (*Split, *Stage)},
     )

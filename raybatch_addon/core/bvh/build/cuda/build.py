@@ -26,10 +26,10 @@ from .order import ORDER_KERNELS, HeightOrder, find_parents, order_by_height, re
 from .reinsert import REINSERT_KERNELS, reinsert
 
 # Levels of nodes that a traversal stack has room for
-DEPTH_MAX = 64
+LEVELS_MAX = 64
 # A tree that came out deeper is built again with so many rounds of merging and not improved: with forced pairs, whose
-# number of rounds is that of the bits of the count, no binary node is then as deep as DEPTH_MAX
-ROUND_LIMIT_DEEP = DEPTH_MAX - 32
+# number of rounds is that of the bits of the count, no binary node is then as deep as LEVELS_MAX
+ROUND_LIMIT_DEEP = LEVELS_MAX - 32
 # Most memory at any time of a build, its result included [bytes per triangle or box]: boxes of binary nodes 48, their
 # children 8 and leaves 4, parents and what refitting needs 16, moves 42, and a little; earlier and later steps need
 # less
@@ -210,7 +210,7 @@ def _attempt(
     del order
     wide = collapse(tree.nodes, choices, centre)
     clock.end("collapse")
-    if len(wide.level_first) - 1 > DEPTH_MAX:
+    if len(wide.level_first) - 1 > LEVELS_MAX:
         return None, ()
     statistics = DeviceBuildStatistics(
         node_steps=wide.node_steps,

@@ -1,7 +1,7 @@
 """A binary tree over boxes, built on the device by merging clusters in Morton order.
 
 Boxes are sorted along a Morton curve of their middles. Then, round by round, each cluster looks for the neighbour
-within `RADIUS` positions with which its common box is smallest, and pairs that choose each other merge: PLOC (Meister
+within `_RADIUS` positions with which its common box is smallest, and pairs that choose each other merge: PLOC (Meister
 and Bittner 2018, "Parallel locally-ordered clustering for bounding volume hierarchy construction"). Every round
 compacts the clusters by a scan, so the tree never depends on which thread came first.
 
@@ -23,7 +23,7 @@ from ....device.launches import RepeatedLaunches
 from ....errors import SceneError
 
 # Places to either side in which a cluster looks for its neighbour
-RADIUS = 16
+_RADIUS = 16
 # Rounds before pairs are forced; real scenes need 30 to 70
 ROUND_LIMIT = 160
 # Forced pairs need one round for each bit of the count
@@ -185,8 +185,8 @@ def neighbour_kernel(nodes: BinaryNodes, clusters: Clusters, state: wp.array2d(d
     count = state[parity, COUNT]
     if i >= count:
         return
-    first = wp.max(i - RADIUS, 0)
-    end = wp.min(i + RADIUS + 1, count)
+    first = wp.max(i - _RADIUS, 0)
+    end = wp.min(i + _RADIUS + 1, count)
     block = state[parity, BLOCK]
     if block > 0:
         # the blocks of odd rounds are shifted by half, so that no border stays

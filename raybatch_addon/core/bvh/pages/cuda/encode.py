@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 
 from ....device.kernel import KERNEL_OPTIONS
-from ..encode import BLOCK_BITS, HEADER_WORDS, VERTICES_MAX
+from ..encode import BLOCK_BITS, BLOCK_VERTICES_MAX, HEADER_WORDS
 
 _NO_VERTEX = wp.constant(2**31 - 1)
 _VERTICES, _ABOVE, _ALL = wp.constant(0), wp.constant(1), wp.constant(2)
@@ -128,7 +128,7 @@ def encode_on_device(triangles: wp.array, vertices: wp.array) -> wp.array:
         wp.launch(list_vertices_kernel, 3 * count, [blocks], device=device)
         wp.launch(rank_vertices_kernel, 3 * count, [blocks], device=device)
         found = blocks.found.numpy().tolist()
-        if found[0] <= VERTICES_MAX:
+        if found[0] <= BLOCK_VERTICES_MAX:
             break
     wide = found[1] >= 1 << 24
     sizes = [2 * block_count, count, count if wide else -(-count // 2), 3 * found[2]]

@@ -24,7 +24,7 @@ auto go = [&](Ray& ray, int child, int trail_code, long long good) INLINE {
     }
     const long long leaf = (long long)((unsigned)child >> 31) & good;
     const long long entry = TWO_LEVEL && KEEPS_TRAIL ? leaf & (long long)((unsigned)ray.entry >> 31) : 0;
-    const long long root = KEEPS_TRAIL ? (long long)((unsigned)child >> 30 & 1u) & (good ^ leaf) : 0;
+    const long long root = KEEPS_TRAIL ? (long long)((child & TREELET_CHILD) != 0) & (good ^ leaf) : 0;
     then->nodes[node_count] = &ray;
     node_count += good ^ leaf ^ root;
     then->leaves[leaf_count] = &ray;

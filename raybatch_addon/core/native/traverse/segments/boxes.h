@@ -1,6 +1,8 @@
 // A ray of a tree of the layout BOXES meets leaves of triangles and segments.
 
 #undef test_leaf
+// Third corners are no points: bytes in a group of their words for eight segments
+constexpr int RADII = 6 * GROUP_ROW, FIRST_PLANE = 7 * GROUP_ROW, SECOND_PLANE = 8 * GROUP_ROW;
 // The segments of the group at `p` whose bits are in `marked`
 auto test_segments = [&](Ray& ray, const char* p, unsigned marked) INLINE {
     float o[3], d[3];
@@ -10,13 +12,13 @@ auto test_segments = [&](Ray& ray, const char* p, unsigned marked) INLINE {
     for (int k = 0; k < 3; ++k) d[k] = 1.0f / ray.slabs.inverse[k];
     const Ints face = *(const Ints*)(p + GROUP_FACE);
     auto radius_of = [&](const char* group, int shift) INLINE -> Floats {
-        return (Floats)((*(const Ints*)(group + 192) >> shift & (int)RADIUS_MASK) << 15);
+        return (Floats)((*(const Ints*)(group + RADII) >> shift & RADIUS_MASK) << RADIUS_SHIFT);
     };
 #if MOTION
     const char *before = p + ray.between.first, *behind = before + ray.between.next;
     const float share = ray.between.share;
     auto row = [&](int k) INLINE -> Floats {
-        const Floats a = *(const Floats*)(before + 32 * k), b = *(const Floats*)(behind + 32 * k);
+        const Floats a = *(const Floats*)(before + GROUP_ROW * k), b = *(const Floats*)(behind + GROUP_ROW * k);
         const Floats low = smaller(a, b), high = larger(a, b), mixed = a + all(share) * (b - a);
         return smaller(larger(mixed, low), high);
     };
@@ -29,16 +31,16 @@ auto test_segments = [&](Ray& ray, const char* p, unsigned marked) INLINE {
     };
     p = before;
 #else
-    auto row = [&](int k) INLINE -> Floats { return *(const Floats*)(p + 32 * k); };
+    auto row = [&](int k) INLINE -> Floats { return *(const Floats*)(p + GROUP_ROW * k); };
     auto radius = [&](int shift) INLINE -> Floats { return radius_of(p, shift); };
     auto normal = [&](int word, float* n) INLINE { segment_normal(((const unsigned*)p)[word], n); };
 #endif
-    const Segment g = {row(0), row(1), row(2), row(3), row(4), row(5), radius(0), radius(16)};
+    const Segment g = {row(0), row(1), row(2), row(3), row(4), row(5), radius(0), radius(RADIUS_BITS)};
 #if COUNTERS
     ray.triangle_tests += __builtin_popcount(marked);
 #endif
     const Floats limit = all(ray.best), finite = all(3e38f);
-    const unsigned ribbons = marked & negative(*(const Ints*)(p + 224) << 9);
+    const unsigned ribbons = marked & negative(*(const Ints*)(p + FIRST_PLANE) << (31 - RIBBON_BIT));
     // of ribbons or of others, which `chosen` says
     auto test_alike = [&](unsigned chosen, bool flat) INLINE {
         const Entry entry = flat ? enter_ribbon(o, d, g) : enter_segment(o, d, g);
@@ -52,8 +54,8 @@ auto test_segments = [&](Ray& ray, const char* p, unsigned marked) INLINE {
             };
             const float q[3] = {element(entry.qx), element(entry.qy), element(entry.qz)}, s = element(entry.s);
             float u, v;
-            normal(56 + k, axis.n);
-            normal(64 + k, axis.m);
+            normal(FIRST_PLANE / 4 + k, axis.n);
+            normal(SECOND_PLANE / 4 + k, axis.m);
             if (flat) {
                 const float width = element(g.r0) + s * (element(g.r1) - element(g.r0));
                 if (!place_on_ribbon(axis, d, width, q, s, u, v)) continue;
@@ -73,7 +75,7 @@ auto test_segments = [&](Ray& ray, const char* p, unsigned marked) INLINE {
 auto test_leaf = [&](Ray& ray) INLINE {
     const char* p = ray.at;
     for (int more = (unsigned)~ray.child & 7; more >= 0; --more, p += GROUP) {
-        const Floats mark = *(const Floats*)(p + 256);
+        const Floats mark = *(const Floats*)(p + SECOND_PLANE);
         const unsigned marked = not_above(mark, mark) & ~at_most(mark, mark);
         const unsigned there = 0xffu ^ negative(*(const Ints*)(p + GROUP_FACE));
         if (marked != there) test(ray, p);

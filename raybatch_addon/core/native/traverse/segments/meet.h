@@ -8,7 +8,6 @@
 
 // Rays closer to the axis's direction than this, squared, keep their origin: nothing says where they are nearest to it
 constexpr float PARALLEL = 1e-10f;
-constexpr unsigned RADIUS_MASK = 0xffffu, NORMAL_MASK = 0x7ffu, RIBBON = 1u << 22;
 struct Segment {
     Number ax, ay, az, bx, by, bz;  // its points
     Number r0, r1;                  // its radii there
@@ -64,8 +63,8 @@ auto enter_segment = [&](const float* o, const float* d, const Segment& g) INLIN
     entry.good = met > 2.0f * most ? -1.0f + zero : least;
     return entry;
 };
-// The same of a strip that faces the ray: where the ray passes the axis, or the nearer end of it, at most a radius away.
-// Nearer to the ray's origin than twice the radius no strip is met: not the one that the ray leaves.
+// The same of a strip that faces the ray: where the ray passes the axis, or the nearer end of it, at most a radius
+// away. Nearer to the ray's origin than twice the radius no strip is met: not the one that the ray leaves.
 auto enter_ribbon = [&](const float* o, const float* d, const Segment& g) INLINE_SEGMENT -> Entry {
     const float dd = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
     const Number ex = g.bx - g.ax, ey = g.by - g.ay, ez = g.bz - g.az;
@@ -94,8 +93,8 @@ auto enter_ribbon = [&](const float* o, const float* d, const Segment& g) INLINE
 };
 // A vector of 22 bits, of any length
 auto segment_normal = [&](unsigned bits, float* n) INLINE_SEGMENT {
-    const float x = (float)(bits & NORMAL_MASK) * (2.0f / NORMAL_STEPS) - 1.0f;
-    const float y = (float)(bits >> 11 & NORMAL_MASK) * (2.0f / NORMAL_STEPS) - 1.0f;
+    const float x = (float)(bits & COORDINATE_MASK) * (2.0f / NORMAL_STEPS) - 1.0f;
+    const float y = (float)(bits >> COORDINATE_BITS & COORDINATE_MASK) * (2.0f / NORMAL_STEPS) - 1.0f;
     const float z = 1.0f - fabsf(x) - fabsf(y), fold = z < 0.0f ? -z : 0.0f;
     n[0] = x < 0.0f ? x + fold : x - fold;
     n[1] = y < 0.0f ? y + fold : y - fold;
@@ -147,8 +146,8 @@ auto place_on_segment = [&](const Axis& axis, const float* q, float s, float& u,
     u = s < 0.0f ? 0.0f : s > 1.0f ? 1.0f : s;
     return turn_of(e, q, v);
 };
-// Whether the point q, relative to the middle, lies between the planes of a strip, turned until the ray lies in them; its
-// place on the surface of the round curve that the strip stands for, in front of q. s: 0 to 1
+// Whether the point q, relative to the middle, lies between the planes of a strip, turned until the ray lies in them;
+// its place on the surface of the round curve that the strip stands for, in front of q. s: 0 to 1
 auto place_on_ribbon = [&](const Axis& axis, const float* d, float radius, const float* q, float s, float& u, float& v)
                            INLINE_SEGMENT -> bool {
     const float *e = axis.e, *n = axis.n, *m = axis.m;

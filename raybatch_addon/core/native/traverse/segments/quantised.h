@@ -4,6 +4,6 @@
 #undef meet_triangle
 auto test = [&]() {
     const Words c = read(triangles + TRIANGLE * (leaf.x + highest_bit(leaf.y)) + 2);
-    if ((c.z & 0x7fc00000u) == 0x7fc00000u) test_segment();
+    if ((c.z & SEGMENT_MARK) == SEGMENT_MARK) test_segment();
     else test_triangle();
 };

@@ -1,5 +1,5 @@
-// The lane's ray meets a segment: what stands in `quantised/test.h` in place of `meet_triangle`, so that segments accept
-// hits as triangles do.
+// The lane's ray meets a segment: what stands in `quantised/test.h` in place of `meet_triangle`, so that segments
+// accept hits as triangles do.
 
 // a and b: its points; p, c: its block, and the third corner there, of the step behind where it deforms
 auto meet_segment = [&](const Words& a, const Words& b, const Words* p, float& t, float& u, float& v) -> bool {
@@ -7,10 +7,11 @@ auto meet_segment = [&](const Words& a, const Words& b, const Words* p, float& t
     const float d[3] = {reciprocal(ray.ix), reciprocal(ray.iy), reciprocal(ray.iz)};
     Axis axis;
     const Words c = read(p + 2);
-    float r0 = as_float((c.x & RADIUS_MASK) << 15), r1 = as_float((c.x >> 16) << 15);
+    auto radius_of = [&](unsigned bits) { return as_float((bits & RADIUS_MASK) << RADIUS_SHIFT); };
+    float r0 = radius_of(c.x), r1 = radius_of(c.x >> RADIUS_BITS);
 #if MOTION
     const Words before = read(p - TRIANGLE * between.next + 2);
-    const float first = as_float((before.x & RADIUS_MASK) << 15), second = as_float((before.x >> 16) << 15);
+    const float first = radius_of(before.x), second = radius_of(before.x >> RADIUS_BITS);
     r0 = first + between.share * (r0 - first);
     r1 = second + between.share * (r1 - second);
     mixed_normal(before.y, c.y, between.share, axis.n);
@@ -19,7 +20,7 @@ auto meet_segment = [&](const Words& a, const Words& b, const Words* p, float& t
     segment_normal(c.y, axis.n);
     segment_normal(c.z, axis.m);
 #endif
-    const bool flat = (c.y & RIBBON) != 0u;
+    const bool flat = (c.y >> RIBBON_BIT & 1u) != 0u;
     const Segment g = {
         as_float(a.x), as_float(a.y), as_float(a.z), as_float(b.x), as_float(b.y), as_float(b.z), r0, r1
     };

@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from ....float32 import PI
 from ....scene.description import ClosureKind
 from ....shading.bsdf.materials import ClosureRecord, new_closure
 from ....shading.sampling import tangent_of
@@ -90,7 +91,7 @@ def variance_along(roughness: float) -> float:
 def scale_around(roughness: float) -> float:
     """Scale of the logistic distribution around a fibre of a roughness 0..1 (equation 8)."""
     x = 0.265 * roughness + 1.194 * roughness * roughness + 5.372 * wp.pow(roughness, 22.0)
-    return wp.static((3.141592653589793 / 8.0) ** 0.5) * x
+    return wp.static((PI / 8.0) ** 0.5) * x
 
 
 @closure_op("principled_hair", "vvnnnnn", foldable=False)

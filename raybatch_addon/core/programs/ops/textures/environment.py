@@ -4,6 +4,7 @@ from enum import IntEnum
 
 import warp as wp
 
+from ....float32 import PI
 from ....shading.images.textures import Extension, sample_image
 from ...op import NodeData, op, put_number, put_vector, vector
 from ...point import ShadingPoint
@@ -23,9 +24,9 @@ _REPEAT = wp.constant(int(Extension.REPEAT))
 @wp.func
 def equirectangular_uv(direction: wp.vec3) -> wp.vec2:
     """Image coordinates of a unit direction: longitude to the right, +x in the middle, latitude upwards."""
-    u = 0.5 - wp.atan2(direction[1], direction[0]) * wp.static(0.5 / 3.141592653589793)
+    u = 0.5 - wp.atan2(direction[1], direction[0]) * wp.static(0.5 / PI)
     level = wp.sqrt(direction[0] * direction[0] + direction[1] * direction[1])
-    v = 0.5 + wp.atan2(direction[2], level) * wp.static(1.0 / 3.141592653589793)
+    v = 0.5 + wp.atan2(direction[2], level) * wp.static(1.0 / PI)
     return wp.vec2(u, v)
 
 

@@ -10,6 +10,7 @@ import math
 
 import warp as wp
 
+from ....float32 import PI, TWO_PI
 from ...op import NodeData, number, op, put_number, vector
 from ...point import ShadingPoint
 from ..values.finite import finite_or_zero
@@ -17,8 +18,6 @@ from .hashing import hash_3_to_1, hash_3_to_2, hash_4_to_1, hash_4_to_2, hash_4_
 
 _WAVELETS = 8  # wavelets of a cell
 _FREQUENCY_MIN = 1e-3
-_PI = wp.constant(math.pi)
-_TWO_PI = wp.constant(2.0 * math.pi)
 # A wavelet's squared integral (limit of high frequencies) is 1/4 in the plane and 1 / (4 sqrt 2) in space; a random
 # sign's second moment is taken as 1/2. [0, 1] holds six deviations of the sum.
 _DEVIATIONS_2D = wp.constant(6.0 * math.sqrt(_WAVELETS * 0.5 * 0.25))
@@ -28,9 +27,9 @@ _DEVIATIONS_3D = wp.constant(6.0 * math.sqrt(_WAVELETS * 0.5 * 0.25 / math.sqrt(
 @wp.func
 def _wavelet(squared_distance: float, turns: float) -> wp.vec2:
     """A phasor under a Gaussian that a Hann window ends at distance 1; `turns` is the phase in full turns."""
-    window = 0.5 + 0.5 * wp.cos(_PI * squared_distance)
-    amplitude = wp.exp(-_PI * squared_distance) * window
-    angle = _TWO_PI * turns
+    window = 0.5 + 0.5 * wp.cos(PI * squared_distance)
+    amplitude = wp.exp(-PI * squared_distance) * window
+    angle = TWO_PI * turns
     return wp.vec2(amplitude * wp.cos(angle), amplitude * wp.sin(angle))
 
 
@@ -62,7 +61,7 @@ def gabor_phasor_2d(position: wp.vec2, frequency: float, isotropy: float, orient
             from_centre = in_cell - hash_3_to_2(cx, cy, seed + 1.0)
             squared = wp.dot(from_centre, from_centre)
             if squared < 1.0:
-                turned = orientation + (hash_3_to_1(cx, cy, seed) - 0.5) * _PI * isotropy
+                turned = orientation + (hash_3_to_1(cx, cy, seed) - 0.5) * PI * isotropy
                 wave = wp.vec2(frequency * wp.cos(turned), frequency * wp.sin(turned))
                 result = result + _sign(hash_3_to_1(cx, cy, seed + 2.0)) * _wavelet(squared, wp.dot(from_centre, wave))
     return result
@@ -99,7 +98,7 @@ def gabor_phasor_3d(position: wp.vec3, frequency: float, isotropy: float, orient
             if squared < 1.0:
                 wave = orientation
                 if isotropy > 0.0:
-                    turn = hash_4_to_2(c[0], c[1], c[2], seed) * (_PI * isotropy)
+                    turn = hash_4_to_2(c[0], c[1], c[2], seed) * (PI * isotropy)
                     theta = inclination + turn[0]
                     phi = azimuth + turn[1]
                     wave = wp.vec3(wp.sin(theta) * wp.cos(phi), wp.sin(theta) * wp.sin(phi), wp.cos(theta))
@@ -112,7 +111,7 @@ def gabor_phasor_3d(position: wp.vec3, frequency: float, isotropy: float, orient
 def gabor_outputs(phasor: wp.vec2, deviations: float) -> wp.vec3:
     """Value, phase and intensity of a sum of wavelets, the first two in [0, 1]."""
     value = 0.5 * (phasor[1] / deviations) + 0.5
-    phase = (wp.atan2(phasor[1], phasor[0]) + _PI) / _TWO_PI
+    phase = (wp.atan2(phasor[1], phasor[0]) + PI) / TWO_PI
     intensity = wp.length(phasor) / deviations
     return wp.vec3(finite_or_zero(value), finite_or_zero(phase), finite_or_zero(intensity))
 

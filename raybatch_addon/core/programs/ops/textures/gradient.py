@@ -4,6 +4,7 @@ from enum import IntEnum
 
 import warp as wp
 
+from ....float32 import TWO_PI
 from ...op import NodeData, op, put_number, put_vector, vector
 from ...point import ShadingPoint
 
@@ -26,7 +27,6 @@ _EASING = wp.constant(int(GradientKind.EASING))
 _DIAGONAL = wp.constant(int(GradientKind.DIAGONAL))
 _RADIAL = wp.constant(int(GradientKind.RADIAL))
 _QUADRATIC_SPHERE = wp.constant(int(GradientKind.QUADRATIC_SPHERE))
-_TWO_PI = wp.constant(6.283185307179586)
 _RADIUS = wp.constant(0.999999)  # just below 1, so that rounding leaves nothing at distance 1
 
 
@@ -44,7 +44,7 @@ def gradient(kind: int, p: wp.vec3) -> float:
     elif kind == _DIAGONAL:
         value = (p[0] + p[1]) * 0.5
     elif kind == _RADIAL:
-        value = wp.atan2(p[1], p[0]) / _TWO_PI + 0.5
+        value = wp.atan2(p[1], p[0]) / TWO_PI + 0.5
     else:
         value = wp.max(_RADIUS - wp.length(p), 0.0)
         if kind == _QUADRATIC_SPHERE:

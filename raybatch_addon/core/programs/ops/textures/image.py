@@ -10,6 +10,7 @@ from enum import IntEnum
 
 import warp as wp
 
+from ....float32 import PI
 from ....shading.images.textures import sample_image, sample_level
 from ...op import NodeData, number, op, put_number, put_vector, vector
 from ...point import ShadingPoint
@@ -32,7 +33,7 @@ def around(x: float, y: float) -> float:
     """Azimuth of (x, y) around the z axis, 0..1, with 1/2 at +y; 0 on the axis."""
     if x == 0.0 and y == 0.0:
         return 0.0
-    return 0.5 * (1.0 - wp.atan2(x, y) * wp.static(1.0 / 3.141592653589793))
+    return 0.5 * (1.0 - wp.atan2(x, y) * wp.static(1.0 / PI))
 
 
 @wp.func
@@ -42,7 +43,7 @@ def sphere_projection(p: wp.vec3) -> wp.vec2:
     if not (length > 0.0 and wp.isfinite(length)):
         return wp.vec2(0.0, 0.0)
     angle = wp.acos(wp.clamp(p[2] / length, -1.0, 1.0))
-    return wp.vec2(around(p[0], p[1]), 1.0 - angle * wp.static(1.0 / 3.141592653589793))
+    return wp.vec2(around(p[0], p[1]), 1.0 - angle * wp.static(1.0 / PI))
 
 
 @wp.func

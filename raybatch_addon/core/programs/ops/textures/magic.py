@@ -2,23 +2,24 @@
 
 import warp as wp
 
+from ....float32 import TWO_PI
 from ...op import NodeData, number, op, put_number, put_vector, vector
 from ...point import ShadingPoint
 from ..values.finite import finite_or_zero
 
-DEPTH_MAX = 10
-
-_TWO_PI = wp.constant(6.283185307179586)
+MAGIC_DEPTH_MAX = 10
 
 
 @wp.func
 def _angle(x: float) -> float:
-    return finite_or_zero(wp.mod(x, _TWO_PI))
+    return finite_or_zero(wp.mod(x, TWO_PI))
 
 
 @wp.func
 def magic(p: wp.vec3, depth: int, distortion: float) -> wp.vec3:
-    """The colour at `p`, each channel about in [0, 1]; `depth` (0 to `DEPTH_MAX`) sines follow the first three."""
+    """The colour at `p`, each channel about in [0, 1]; `depth` sines, `MAGIC_DEPTH_MAX` at most, follow the first
+    three.
+    """
     a = _angle(p[0])
     b = _angle(p[1])
     c = _angle(p[2])

@@ -8,13 +8,11 @@ origin to the sides of the polygon through it, and how far along its side.
 
 import warp as wp
 
+from ....float32 import PI, TWO_PI
 from ...op import NodeData, number, op, put_number, put_vector, vector, wanted
 from ...point import ShadingPoint
 from ..values.finite import finite_or_zero
 from ..values.math import greater, limited, safe_divide
-
-TURN = 6.283185307179586  # [rad]
-HALF_TURN = 3.141592653589793  # [rad]
 
 
 @wp.struct
@@ -154,12 +152,12 @@ def tile_of_last(
     angle: float,
 ) -> SegmentPoint:
     """Coordinates of a point in the last segment, or at the corners of its ends."""
-    begin = TURN - 2.0 * last_half
+    begin = TWO_PI - 2.0 * last_half
     shrunk = safe_divide(wp.cos(half), wp.cos(last_half))  # distance of the other sides over that of the last
     tile = SegmentPoint()
     tile.middle = last_half
     tile.widest = wp.tan(inner.reach) + inner.bend * (0.5 + 0.5 * shrunk) + shrunk * inner.rest
-    if around >= begin + inner.start and around < TURN - inner.start:
+    if around >= begin + inner.start and around < TWO_PI - inner.start:
         distance = length * wp.cos(last_half - angle)
         tile.out = shrunk * distance
         tile.along = tile.out * wp.tan(wp.abs(last_half - angle))
@@ -167,10 +165,10 @@ def tile_of_last(
         return tile
     # from the x axis, or from the last segment's beginning the other way round
     bearing = float(around)
-    if around >= begin - corner.start and around < TURN - last_half:
+    if around >= begin - corner.start and around < TWO_PI - last_half:
         bearing = begin - around
-    elif around >= HALF_TURN:
-        bearing = around - TURN
+    elif around >= PI:
+        bearing = around - TWO_PI
     distance = safe_divide(length, distance_to_circle(corner.x, corner.y, corner.radius, bearing))
     tile.out = shrunk * distance
     if bearing < 0.0:
@@ -192,13 +190,13 @@ def tile_at(sides: float, roundness: float, length: float, around: float, angle:
 
     The point is `around` [rad] from the x axis and `angle` [rad] from its segment's divider.
     """
-    half = HALF_TURN / sides
+    half = PI / sides
     regular = round_side(half, roundness)
     side = regular
     is_straight = angle >= regular.start and angle < 2.0 * half - regular.start
     if wp.floor(sides) != sides:
-        last_half = HALF_TURN - wp.floor(sides) * half
-        begin = TURN - 2.0 * last_half
+        last_half = PI - wp.floor(sides) * half
+        begin = TWO_PI - 2.0 * last_half
         inner = round_side(last_half, roundness)
         corner = last_corner(half, inner, last_half, roundness)
         outer = side_of(half, corner.start, 1.0 - safe_divide(wp.tan(half - corner.start), wp.tan(half)))
@@ -223,8 +221,8 @@ def radial_tiles(normalize: int, p: wp.vec3, sides: float, roundness: float) -> 
     """
     around = wp.atan2(p[1], p[0])
     if p[1] < 0.0:
-        around = around + TURN
-    width = 2.0 * (HALF_TURN / sides)
+        around = around + TWO_PI
+    width = 2.0 * (PI / sides)
     before = wp.floor(around / width) * width
     tile = tile_at(sides, roundness, wp.sqrt(p[0] * p[0] + p[1] * p[1]), around, around - before)
     out = tile.out
@@ -249,7 +247,7 @@ def radial_tiles(normalize: int, p: wp.vec3, sides: float, roundness: float) -> 
 @wp.func
 def segment_index(p: wp.vec3, sides: float) -> float:
     """Number of the segment that the point lies in, from 0."""
-    turns = wp.atan2(p[1], p[0]) / TURN
+    turns = wp.atan2(p[1], p[0]) / TWO_PI
     if p[1] < 0.0:
         turns = turns + 1.0
     return wp.floor(sides * turns)

@@ -4,10 +4,9 @@ Directions need not be unit vectors where Blender does not require it either. Wh
 not negative.
 """
 
-import math
-
 import warp as wp
 
+from ....float32 import HALF_PI, TWO_PI
 from ....shading.images.textures import Extension, ImageTable, Interpolation, sample_image
 from ...op import NodeData, op, put_vector, vector
 from ...point import ShadingPoint
@@ -19,16 +18,13 @@ SHAPE_COUNT = 9  # coefficients of a channel
 # Offsets in the table of a scattering sky
 _LOWEST, _HIGHEST, _ELEVATION, _AZIMUTH, _SIZE, _INTENSITY, _HORIZON = 0, 3, 6, 7, 8, 9, 10
 
-_PI = wp.constant(math.pi)
-_HALF_PI = wp.constant(0.5 * math.pi)
-_TWO_PI = wp.constant(2.0 * math.pi)
 # Least angle above the horizon at which formulas are evaluated; at the horizon they diverge [rad]
 _HORIZON_MARGIN = wp.constant(0.001)
 _LINEAR = wp.constant(int(Interpolation.LINEAR))
 _EXTEND = wp.constant(int(Extension.EXTEND))
 _LIMB = wp.constant(0.6)  # darkening of the sun's rim
 # factor that brings Hosek and Wilkie's radiances to the scale of the others
-_LUMINOUS = wp.constant(2.0 * math.pi / 683.0)
+_LUMINOUS = wp.constant(TWO_PI / 683.0)
 
 
 @wp.func
@@ -52,12 +48,12 @@ def _finite(direction: wp.vec3) -> wp.vec3:
 def _angles(direction: wp.vec3, table: wp.array(dtype=float), first: int) -> wp.vec2:
     """Angles of `direction` from the zenith, kept above the horizon, and from the sun [rad]."""
     theta = wp.acos(wp.clamp(direction[2], -1.0, 1.0))
-    phi = _HALF_PI - wp.atan2(direction[1], direction[0])
+    phi = HALF_PI - wp.atan2(direction[1], direction[0])
     sun_phi = table[first + wp.static(_PHI)]
     sun_theta = table[first + wp.static(_THETA)]
     cosine = wp.sin(theta) * wp.sin(sun_theta) * wp.cos(sun_phi - phi) + wp.cos(theta) * wp.cos(sun_theta)
     gamma = wp.acos(wp.clamp(cosine, -1.0, 1.0))
-    return wp.vec2(wp.min(theta, _HALF_PI - _HORIZON_MARGIN), gamma)
+    return wp.vec2(wp.min(theta, HALF_PI - _HORIZON_MARGIN), gamma)
 
 
 @wp.func
@@ -123,7 +119,7 @@ def scattering_sky(
     the horizon alone.
     """
     d = _finite(direction)
-    elevation = _HALF_PI - wp.acos(wp.clamp(d[2], -1.0, 1.0))
+    elevation = HALF_PI - wp.acos(wp.clamp(d[2], -1.0, 1.0))
     azimuth = wp.atan2(d[1], d[0])
     sun_elevation = table[first + wp.static(_ELEVATION)]
     sun_azimuth = table[first + wp.static(_AZIMUTH)]
@@ -131,8 +127,8 @@ def scattering_sky(
     xyz = wp.vec3()
     if size > 0.0 and elevation > table[first + wp.static(_HORIZON)]:
         # rounded as in Blender: the angle from a small sun's middle shows it
-        theta = sun_elevation - _HALF_PI
-        phi = sun_azimuth - _HALF_PI
+        theta = sun_elevation - HALF_PI
+        phi = sun_azimuth - HALF_PI
         sun = wp.vec3(wp.sin(theta) * wp.cos(phi), wp.sin(theta) * wp.sin(phi), wp.cos(theta))
         from_middle = 2.0 * wp.atan2(wp.length(d - sun), wp.length(d + sun)) / (0.5 * size)
         if from_middle < 1.0:
@@ -145,8 +141,8 @@ def scattering_sky(
                     * table[first + wp.static(_INTENSITY)]
                     * limb
                 )
-    turns = (sun_azimuth - azimuth - _HALF_PI) / _TWO_PI
-    row = wp.sqrt(wp.abs(elevation) / _HALF_PI)
+    turns = (sun_azimuth - azimuth - HALF_PI) / TWO_PI
+    row = wp.sqrt(wp.abs(elevation) / HALF_PI)
     uv = wp.vec2(turns - wp.floor(turns), wp.where(elevation < 0.0, -row, row) * 0.5 + 0.5)
     found = sample_image(images, picture, uv, _LINEAR, _EXTEND, 0)
     return xyz_to_rgb(xyz + wp.vec3(found[0], found[1], found[2]))

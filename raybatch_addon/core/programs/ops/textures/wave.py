@@ -4,6 +4,7 @@ from enum import IntEnum
 
 import warp as wp
 
+from ....float32 import HALF_PI, TWO_PI
 from ...op import NodeData, number, op, put_number, put_vector, vector
 from ...point import ShadingPoint
 from ..values.finite import finite_or_zero
@@ -41,8 +42,6 @@ _SPHERICAL = wp.constant(int(WaveKind.RINGS_SPHERICAL))
 _SINE = wp.constant(int(WaveProfile.SINE))
 _SAW = wp.constant(int(WaveProfile.SAW))
 _FBM = wp.constant(int(FractalKind.FBM))
-_HALF_PI = wp.constant(1.5707963267948966)
-_ONE_OVER_TWO_PI = wp.constant(0.15915494309189535)
 
 
 @wp.struct
@@ -77,8 +76,8 @@ def wave(kind: int, profile: int, p: wp.vec3, phase: float, distortion: Distorti
         angle += distortion.amount * (fractal_noise_3d(q * distortion.scale, fractal) * 2.0 - 1.0)
     angle = finite_or_zero(angle)
     if profile == _SINE:
-        return 0.5 + 0.5 * wp.sin(angle - _HALF_PI)
-    turns = angle * _ONE_OVER_TWO_PI
+        return 0.5 + 0.5 * wp.sin(angle - HALF_PI)
+    turns = angle * wp.static(1.0 / TWO_PI)
     if profile == _SAW:
         return turns - wp.floor(turns)
     return wp.abs(turns - wp.floor(turns + 0.5)) * 2.0

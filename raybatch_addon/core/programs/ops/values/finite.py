@@ -2,13 +2,13 @@
 
 import warp as wp
 
-_LARGEST = wp.constant(3.4028234663852886e38)
+from ....float32 import LARGEST
 
 
 @wp.func
 def finite_or_zero(x: float) -> float:
     """`x`, or 0 for infinities and NaN."""
-    return wp.where(wp.abs(x) <= _LARGEST, x, 0.0)
+    return wp.where(wp.abs(x) <= LARGEST, x, 0.0)
 
 
 @wp.func

@@ -11,7 +11,7 @@ import warp as wp
 from ....device.bulk import in_slices, large_empty
 from ....device.devices import load_module
 from ....device.launches import RepeatedLaunches
-from ..choice_table import FIELDS, WIDTH, ChoiceTable
+from ..choice_table import BLOCK_WIDTH, FIELDS, ChoiceTable
 from ..light_tree import (
     EmitterBoxes,
     LightBlocks,
@@ -36,7 +36,7 @@ def fill_blocks(choice: ChoiceTable, boxes: EmitterBoxes, alike: Sequence[Alike]
     `alike`: runs of emitters that a CPU joins alike.
     """
     count, device = boxes.nodes.size, boxes.nodes.device
-    if count <= WIDTH:
+    if count <= BLOCK_WIDTH:
         _allocate(choice, 1, device)
         if count:
             wp.launch(fill_block_kernel, count, [boxes, choice], device=device)
@@ -114,7 +114,7 @@ def _go_down(tree: LightBlocks, begin: np.ndarray, enough: int) -> tuple[LightBl
     found.block_count = wp.array([len(begin)], dtype=int, device=device)
     first, end = 0, len(begin)
     while 0 < end - first < enough:
-        needed = min(end + WIDTH * (end - first), most)
+        needed = min(end + BLOCK_WIDTH * (end - first), most)
         if found.block_node.size < needed:
             # threads of a CPU go down side by side, each with room for little more than its part
             room = large_empty(min(2 * needed, most) if device.is_cpu else most, int, device)
@@ -141,6 +141,6 @@ def launch_parts(kernel: wp.Kernel, count: int, inputs: Callable[[int], list], d
 
 
 def _allocate(choice: ChoiceTable, block_count: int, device: wp.Device) -> None:
-    choice.blocks = large_empty(block_count * WIDTH * len(FIELDS), float, device, zeros=True)
-    choice.below = wp.full(block_count * WIDTH, -1, dtype=int, device=device)
+    choice.blocks = large_empty(block_count * BLOCK_WIDTH * len(FIELDS), float, device, zeros=True)
+    choice.below = wp.full(block_count * BLOCK_WIDTH, -1, dtype=int, device=device)
     choice.above = wp.full(block_count, -1, dtype=int, device=device)

@@ -18,6 +18,7 @@ import functools
 
 import warp as wp
 
+from ....float32 import PI
 from ....programs.op import NodeData
 from ....programs.ops.textures.image_levels import CHANCE, FOOTPRINT
 from ....programs.point import ShadingPoint
@@ -105,7 +106,7 @@ def make_scattered_cone(smooth_normals: bool) -> wp.Function:
                 spread += bend
         if (lobe & DELTA) == 0 and pdf > 0.0:
             # a disc of the part's solid angle, as if it were flat
-            spread = wp.sqrt(spread * spread + wp.static(4.0 * _SHARE / 3.141592653589793) / pdf)
+            spread = wp.sqrt(spread * spread + wp.static(4.0 * _SHARE / PI) / pdf)
         return wp.vec2(width, wp.clamp(spread, -_SPREAD_MOST, _SPREAD_MOST))
 
     return scattered_cone

@@ -19,7 +19,7 @@ from ..limits import PathLimits, clamped, has_light
 from .features import SurfaceFeatures
 from .vertex import Vertex
 
-SHADOW_NEW = int(Status.SHADOW_NEW)
+_SHADOW_NEW = int(Status.SHADOW_NEW)
 
 
 @wp.func
@@ -110,6 +110,6 @@ def make_connect_light(features: SurfaceFeatures, in_volume: bool = False) -> wp
         paths.shadow_light[path] = contribution
         if wp.static(features.transparency and bool(programs)):
             paths.shadow_t[path] = 0.0
-        return wp.static(SHADOW_NEW)
+        return wp.static(_SHADOW_NEW)
 
     return connect_light

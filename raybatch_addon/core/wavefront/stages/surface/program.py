@@ -10,7 +10,7 @@ from ....programs.point import ShadingPoint
 from ....programs.run import make_run
 from ....scene.moved import triangle_vertices_at
 from ....scene.program import ProgramFeatures
-from ....shading.bsdf.materials import ClosureRecord, address_of
+from ....shading.bsdf.materials import ClosureRecord, address_of, address_of_closure
 from ....shading.surface import SurfacePoint
 from ...scene.scene_data import SceneData
 
@@ -91,11 +91,6 @@ def passing_program_of(data: SceneData, material: int) -> int:
     if count > 0:
         return data.nodes.program_first[count - data.materials.records.shape[0] + material]
     return -1
-
-
-@wp.func_native("return reinterpret_cast<wp::uint64>(closures.data + first);")
-def address_of_closure(closures: wp.array(dtype=ClosureRecord), first: int) -> wp.uint64:
-    """Where the record `first` is."""
 
 
 @wp.func

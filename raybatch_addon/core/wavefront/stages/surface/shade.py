@@ -24,7 +24,15 @@ from ....shading.bsdf.bsdf import (
     Lobe,
     make_bsdf,
 )
-from ....shading.bsdf.materials import AOV, RECORD_FLOATS, SURFACE_NORMAL, ClosureRecord, address_of, new_closure
+from ....shading.bsdf.materials import (
+    AOV,
+    RECORD_FLOATS,
+    SURFACE_NORMAL,
+    ClosureRecord,
+    address_of,
+    address_of_closure,
+    new_closure,
+)
 from ....shading.lights.light_shapes import LightSample
 from ....shading.lights.lights import LightFeatures, light_weights, make_lights
 from ....shading.sampling import bitangent_of, tangent_of
@@ -59,20 +67,13 @@ from .features import SurfaceFeatures
 from .filter_glossy import blur_alpha, make_blur
 from .history import history_after
 from .portal import pass_portal
-from .program import (
-    address_of_closure,
-    fixed_closure_count,
-    fixed_closures,
-    make_surface_program,
-    program_of,
-    shading_point,
-)
+from .program import fixed_closure_count, fixed_closures, make_surface_program, program_of, shading_point
 from .vertex import VertexFeatures, make_vertex
 
-RAY_NEW = int(Status.RAY_NEW)
-STRAIGHT = int(Status.STRAIGHT)
-ENDED = int(Status.ENDED)
-INSIDE = int(Status.INSIDE)
+_RAY_NEW = int(Status.RAY_NEW)
+_STRAIGHT = int(Status.STRAIGHT)
+_ENDED = int(Status.ENDED)
+_INSIDE = int(Status.INSIDE)
 
 
 @functools.cache
@@ -217,7 +218,7 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
         # at its last surface a path scatters no more, but still passes what is transparent, as shadow rays do
         if wp.static(not (features.transparency or features.guides)):
             if v.last:
-                paths.status[path] = status | wp.static(ENDED)
+                paths.status[path] = status | wp.static(_ENDED)
                 return
 
         of_lobes = wp.zeros(wp.static(lobes_most * LOBE_FLOATS), dtype=float)
@@ -295,7 +296,7 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
                 goes_on = goes_on and v.passed < limits.transparent_bounce_max
                 paths.passed[path] = v.passed + 1 + v.passed * wp.static(SHADOW_PASS)
                 paths.passed_t[path] = passed_t + hit_t
-                status = status | wp.static(STRAIGHT)
+                status = status | wp.static(_STRAIGHT)
             else:
                 paths.passed[path] = v.passed + v.passed * wp.static(SHADOW_PASS)
                 paths.passed_t[path] = 0.0
@@ -349,7 +350,7 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
         far = float(wp.inf)
         if wp.static(features.subsurface):
             if (scattered.lobe & SUBSURFACE) != 0:
-                status = status | wp.static(INSIDE)
+                status = status | wp.static(_INSIDE)
                 if goes_on:
                     closure = closures[scattered.closure]
                     far = begin_walk(
@@ -380,9 +381,9 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
             rays.t_max[path] = t_max
             if wp.static(features.portals):
                 pass_portal(paths, rays, path, surface, closures, scattered)
-            status = status | wp.static(RAY_NEW)
+            status = status | wp.static(_RAY_NEW)
         else:
-            status = status | wp.static(ENDED)
+            status = status | wp.static(_ENDED)
         paths.status[path] = status
 
     return shade_surface

@@ -25,7 +25,7 @@ from ..walk import STEPS_MOST, walk_dimension
 from ..work import TileWork
 from .history import is_spent
 
-INSIDE = int(Status.INSIDE)
+_INSIDE = int(Status.INSIDE)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,10 +80,10 @@ def make_vertex(features: VertexFeatures) -> wp.Function:
         direction = rays.direction[path]
         v.wo = -direction
         if wp.static(features.subsurface):
-            if (v.status & wp.static(INSIDE)) != 0:
+            if (v.status & wp.static(_INSIDE)) != 0:
                 if paths.walk.step[path] != 0:
                     return v
-                v.status = v.status & wp.static(~INSIDE)
+                v.status = v.status & wp.static(~_INSIDE)
                 v.comes_out = True
                 v.wo = direction
         v.there = True

@@ -14,7 +14,7 @@ from .policy import Selection, Step
 # Entries of `PolicyState.choice`: a `Step`, the queue it serves and its rays, the bucket that was served last, and rays
 # that are done; whether the device goes on by itself, and for how many steps it still may (-1: the host leads); with so
 # many rays done nothing is chosen
-STEP_KIND, QUEUE, AMOUNT, LAST, FINISHED, GO, BUDGET, TARGET, CHOICE_SIZE = range(9)
+STEP_KIND, QUEUE, AMOUNT, LAST, FINISHED_RAYS, GO, BUDGET, TARGET, CHOICE_SIZE = range(9)
 # Sizes of launches that a device chooses from, as shares of the largest batch
 SIZES = (1024, 64, 8, 1)
 # Threads at most
@@ -155,7 +155,7 @@ def decide(blocks: Blocks, policy: PolicyState):
     policy.choice[STEP_KIND] = kind
     policy.choice[QUEUE] = queue
     policy.choice[AMOUNT] = amount
-    policy.choice[FINISHED] = finished
+    policy.choice[FINISHED_RAYS] = finished
     budget = policy.choice[BUDGET]
     go = int(0)
     if queue >= 0 and budget > 0:

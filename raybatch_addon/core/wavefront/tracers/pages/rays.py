@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from ....bvh.tree import DONE, NEW
 from ....rays import DeviceRayList, RayList
 from .kernels import (
     CHUNKS_MOST,
@@ -178,10 +179,10 @@ class WaitingRays:
         known = where.min() >= IDLE and where.max() < len(page_of)
         assert known, f"a ray waits for treelet {where.max()} of {len(page_of)}, or in {where.min()}"
         found = np.bincount(page_of[where[where >= 0]], minlength=self._classes - CLASS_PAGES)
-        done, shadow = where == -1, np.arange(len(where)) >= self._shadow_first
+        done, shadow = where == DONE, np.arange(len(where)) >= self._shadow_first
         counted = {
             "idle": (counts.idle, (where == IDLE).sum()),
-            "new": (counts.new, (where == -2).sum()),
+            "new": (counts.new, (where == NEW).sum()),
             "done": (counts.done_closest, (done & ~shadow).sum()),
             "done shadow": (counts.done_shadow, (done & shadow).sum()),
             "waiting": (counts.waiting.tolist(), found.tolist()),

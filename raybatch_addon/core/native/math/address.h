@@ -1,0 +1,2 @@
+// The address of the element FIRST of `values`.
+return reinterpret_cast<wp::uint64>(values.data + FIRST);

@@ -1,0 +1,2 @@
+// The point `p` under the map `m`.
+return transformed_point(m, p);
