@@ -245,7 +245,7 @@ def test_stopped_in_the_middle_of_a_tile_and_resumed(session, comparer, way):
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_rays_that_are_given_up_are_told_and_the_next_render_is_whole(session, comparer, way):
+def test_rays_that_are_given_up_are_reported_and_the_next_render_is_whole(session, comparer, way):
     """Where rays take too long to come to their end they are left; the film cannot be resumed then, and says so."""
     slow = ESTIMATOR.replace(tile_size=16, thread_count=1, ray_count=30, **settings_of(way))
     with pytest.MonkeyPatch.context() as patch:

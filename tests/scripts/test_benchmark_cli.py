@@ -234,7 +234,7 @@ def test_every_tracer_finds_the_hits_of_a_small_scene(geometry, tracer, capfd):
             assert result["faults"] == 0
 
 
-def test_whole_scenes_and_grids_are_measured_and_told_in_words(geometry, tmp_path, capfd):
+def test_whole_scenes_and_grids_are_measured_and_reported_in_words(geometry, tmp_path, capfd):
     archive = tmp_path / "mixed.scene.npz"
     save_scene(archive, scenes.mixed(scenes.Frame(16, 12)), RenderSettings())
     options = [*SMALL, "--tracers", "reference,off", "--orders", "natural", "--no-counters"]

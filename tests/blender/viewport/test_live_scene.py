@@ -263,7 +263,7 @@ def test_instances_of_a_collection_are_placed_with_it(scene, objects):
     assert as_exported(reader.live)
 
 
-def test_kinds_of_edits_are_told_apart():
+def test_kinds_of_edits_are_distinguished():
     edits = Edits(any_material=False)
     edits.add([Update("Object", 1, transform=True)])
     assert edits.moved == {1} and not edits.is_whole and not edits.any_material

@@ -236,7 +236,7 @@ def test_points_without_a_reference_come_from_halves():
     )  # the mean is float32
 
 
-def test_without_reference_and_halves_nothing_tells_the_error():
+def test_without_reference_and_halves_nothing_gives_the_error():
     recorder = ConvergenceRecorder()
     assert recorder.points() == []
     recorder.on_snapshot(snapshot(4, np.zeros(SHAPE)))

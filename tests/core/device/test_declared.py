@@ -279,7 +279,7 @@ def test_processes_that_write_at_once_lose_no_notes_of_each_other(folder):
 
 
 @pytest.mark.parametrize("what, error", [("kernel", ValueError), ("function", AttributeError)])
-def test_a_declaration_that_fails_is_told_to_each_who_asks(what, error, monkeypatch):
+def test_a_declaration_that_fails_is_reported_to_each_who_asks(what, error, monkeypatch):
     bad, good = make_kernel(5.0), make_kernel(3.0)
     wanted = bad if what == "kernel" else bad.func.__closure__[0].cell_contents
     declare, device = getattr(declared, f"_declare_{what}"), wp.get_device(CPU)
@@ -381,6 +381,6 @@ def test_bytecode_that_is_not_the_sources_is_noticed():
     assert module_identity(kernel) != reported
 
 
-def test_floats_are_told_to_the_last_bit():
+def test_floats_are_distinguished_to_the_last_bit():
     assert module_identity(make_kernel(0.1)) != module_identity(make_kernel(float(np.nextafter(0.1, 1.0))))
     assert module_identity(make_kernel(0.0)) != module_identity(make_kernel(-0.0))

@@ -21,7 +21,7 @@ def test_text_becomes_the_settings_own_type():
         ("resolutoin", "resolution"),
     ],
 )
-def test_a_misspelt_setting_is_told_what_was_meant(name, closest):
+def test_a_misspelt_setting_is_answered_with_what_was_meant(name, closest):
     with pytest.raises(
         SettingsError,
         match=rf"no setting is called '{name}'; did you mean {closest}[ ?].*"

@@ -39,7 +39,7 @@ def test_rounds_end_at_each_mark_and_at_the_last_sample(count, wanted):
     assert ends(policy) == sorted({mark for mark in wanted if 1 <= mark <= count} | {count})
 
 
-def test_marks_are_told_apart_and_in_order():
+def test_marks_are_distinct_and_in_order():
     assert sample_marks([5, 1, 5, 0, 9, -2, 8], 8) == (1, 5, 8)
 
 

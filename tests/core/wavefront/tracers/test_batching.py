@@ -147,7 +147,7 @@ def test_more_steps_are_counted_than_32_bits_hold(parallel):
     assert 2**31 < tracer.totals().steps < 2**31 + 10_000
 
 
-def test_waits_and_occupancy_are_told():
+def test_waits_and_occupancy_are_reported():
     bounded, _ = wandering(40, 500, PARALLEL[0], bucket_selection="MOST_FULL", bucket_wait_max=30)
     free, _ = wandering(40, 500, PARALLEL[0], bucket_selection="MOST_FULL")
     waits = []

@@ -103,7 +103,7 @@ def test_a_batch_may_be_larger_than_what_is_taken_at_once(way):
     assert queues.waiting == 500
 
 
-def test_rules_tell_queues_from_treelets(way):
+def test_rules_take_queues_from_treelets(way):
     queues = BucketQueues(8, 2, 0, 10, debug=True, **way)
     entry, exit_ = queue_rule(2, 0, done=6, new=7), queue_rule(2, 1, done=-1, new=7)
     queues.put(batch_of(way["device"], [0, 1, 2, 3], [NEW, DONE, 2, 0]), entry)
@@ -113,7 +113,7 @@ def test_rules_tell_queues_from_treelets(way):
     assert dict(zip(slots.tolist(), where.tolist())) == {3: 0, 4: 1, 2: 2, 6: 2, 1: DONE, 0: NEW}
 
 
-def test_places_tell_where_rays_lie(way):
+def test_places_say_where_rays_lie(way):
     device = way["device"]
     queues = BucketQueues(5, 2, 3, 20, debug=True, **way)
     put, taken = wp.zeros(20, dtype=int, device=device), wp.zeros(queues.capacity, dtype=int, device=device)
