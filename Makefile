@@ -75,7 +75,8 @@ test-all: environment
 	$(venv_python) scripts/testing/everything.py
 
 test-gpu:
-	$(if $(wildcard $(venv_python)),$(venv_python),python3) scripts/testing/gpu.py --part $(PART) --out out/testing/gpu-$(subst /,-of-,$(PART)).json
+	$(if $(wildcard $(venv_python)),$(venv_python),python3) scripts/testing/gpu.py --part $(PART) \
+		--out out/testing/gpu-$(subst /,-of-,$(PART)).json
 
 package: environment
 	$(venv_python) scripts/package.py
