@@ -81,7 +81,7 @@ KERNEL_PARAMETERS_MAX = 8
 NATIVE_PARAMETERS_MAX = 8
 FUNCTION_PARAMETERS_MAX = 12  # of Warp's functions: compilers inline them, and what belongs together is a struct
 WIDE_FIELDS = 8  # of a dataclass from which on they are given by name
-# of C++: its name, and its parameters
+# A lambda of C++: its name, and its parameters
 LAMBDA = re.compile(r"(\w+) = \[[&=]?\]\s*\(([^()]*)\)")
 
 

@@ -45,7 +45,7 @@ def point(samples, relmse, seconds=None):
 
 
 def points(count=256, error=0.3):
-    """Of independent samples, exactly, at a tenth of a second each."""
+    """Points of independent samples, exactly, at a tenth of a second each."""
     return tuple(point(n, error / n) for n in geometric_samples(count, 1.5, 2))
 
 

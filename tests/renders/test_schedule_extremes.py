@@ -87,7 +87,7 @@ def test_the_smallest_blocks_and_fewest(comparer, change, selection, storage):
 
 @pytest.mark.parametrize("selection", SELECTIONS)
 def test_one_bucket(comparer, selection):
-    """As many nodes as the tree has make it one treelet for each mesh tree."""
+    """A `treelet_size` of as many nodes as the tree has makes one treelet of each mesh tree."""
     many = comparer.compare({**CHECKED, "treelet_size": 1, "bucket_selection": selection})
     found = comparer.compare({**CHECKED, "treelet_size": 10**6, "bucket_selection": selection})
     assert not many.differs and not found.differs

@@ -57,7 +57,7 @@ def judge(bowl_scene) -> Judge:
 
 
 def distance_to_surface(points: np.ndarray) -> np.ndarray:
-    """Of `points` to the sphere that the bowl is cut from, where its facets are [m]."""
+    """Distance of `points` to the sphere that the bowl is cut from, where its facets are [m]."""
     return 1 - np.linalg.norm(points, axis=1)
 
 

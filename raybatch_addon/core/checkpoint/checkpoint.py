@@ -138,7 +138,7 @@ class Checkpoint:
         self._next_at = time.perf_counter() + self.interval
 
     def is_due(self) -> bool:
-        """As `StateKeeper.is_due`."""
+        """See `StateKeeper.is_due`."""
         now = time.perf_counter()
         if now < self._next_at or (self._writing and self._writing.is_alive()):
             return False
@@ -146,7 +146,7 @@ class Checkpoint:
         return True
 
     def keep(self, state: ResumeState) -> None:
-        """As `StateKeeper.keep`."""
+        """See `StateKeeper.keep`."""
         begun = time.perf_counter()
         self.wait()
         copy = _Copy(KeptProgress.of(state), _samples(state), _mark(state))

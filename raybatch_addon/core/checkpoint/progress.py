@@ -52,7 +52,7 @@ class KeptProgress:
 
     @property
     def half_count(self) -> int:
-        """In how many films the samples come."""
+        """The number of films in which the samples come: one, or two halves."""
         return len(self.items_begun[0])
 
     @property
@@ -61,7 +61,7 @@ class KeptProgress:
         return self.end is None or not any(map(any, self.items_begun))
 
     def record(self) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-        """As JSON has it, and arrays by name."""
+        """The values as JSON has them, and arrays by name."""
         header = {name: value for name, value in vars(self).items() if name != "stopped"}
         return header, {} if self.stopped is None else {"stopped": self.stopped}
 

@@ -24,7 +24,7 @@ _MATTES = {"cell": np.int64, "identity": np.uint32, "weight": np.int64}
 
 @dataclass(frozen=True)
 class Place:
-    """Whose samples they are."""
+    """The part of a film that samples are of: its region and passes."""
 
     region: tuple[int, int, int, int]  # x0, y0, x1, y1 [pixels]
     pass_names: tuple[str, ...]
@@ -104,7 +104,7 @@ def samples_of_arrays(place: Place, arrays: dict[str, np.ndarray]) -> HostSample
     there = np.flatnonzero(counts)
 
     def spread(values: np.ndarray, width: int) -> np.ndarray:
-        """Of all pixels, what is there of those that have samples: `width` values each."""
+        """`values` of the pixels that have samples, `width` each, spread over all pixels; 0 elsewhere."""
         if len(there) == pixels:
             return values
         whole = np.zeros((*values.shape[:-1], pixels, width), values.dtype)

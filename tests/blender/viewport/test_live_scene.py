@@ -145,7 +145,7 @@ def test_a_group_that_materials_share_reads_these_materials(reader, objects):
 
 
 def test_edits_that_come_faster_than_slices_do_not_put_it_off(objects):
-    """As while an animation plays."""
+    """Edits come like this while an animation plays."""
     reader, depsgraph = LiveScene(), bpy.context.evaluated_depsgraph_get()
     for _ in range(20):
         reader.note([Update("Scene", 1)])

@@ -1,4 +1,4 @@
-"""What is to be told of compiled kernels is told by a render that goes on, whatever was cancelled before."""
+"""Notes about compiled kernels are reported by a render that goes on, whatever was cancelled before."""
 
 import time
 

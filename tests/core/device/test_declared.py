@@ -341,7 +341,7 @@ def run_process(root: Path, folder: Path, *words: str) -> list[str]:
 
 
 def test_a_render_with_kernels_that_are_ready_declares_nothing(session, monkeypatch):
-    """Those of the suite's own folder, which the first process may complete."""
+    """The kernels are those of the suite's own folder, which the first process may complete."""
     monkeypatch.undo()
     folder = Path(wp.config.kernel_cache_dir).parent
     first, second = run_process(ROOT, folder), run_process(ROOT, folder)
@@ -374,7 +374,7 @@ def test_a_changed_source_is_noticed(tmp_path):
 
 
 def test_bytecode_that_is_not_the_sources_is_noticed():
-    """As in a session whose files were changed after they were imported."""
+    """Bytecode differs like this in a session whose files were changed after they were imported."""
     kernel = make_kernel(3.0)
     reported = module_identity(kernel)
     kernel.func.__code__ = kernel.func.__code__.replace(co_consts=(*kernel.func.__code__.co_consts, "other"))

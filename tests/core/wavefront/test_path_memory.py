@@ -1,4 +1,4 @@
-"""What a path takes is known exactly: the arrays of an integrator grow with its paths by just that."""
+"""The memory of a path is known exactly: the arrays of an integrator grow with its paths by just that."""
 
 from pathlib import Path
 

@@ -32,7 +32,7 @@ _BYTES_PER_HIT = 16
 
 
 class HitKey(Enum):
-    """What hits are sorted by, with the bits of the key."""
+    """The key that hits are sorted by; its value is its bits."""
 
     TRIANGLE = 16
     MATERIAL = 8

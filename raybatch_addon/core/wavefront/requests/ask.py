@@ -41,7 +41,7 @@ _DENSITY_LEAST = 8.0
 
 @dataclass(frozen=True)
 class AskFeatures:
-    """What asking is specialised on; the fields are those of `SceneFeatures`."""
+    """Features that asking is specialised on; the fields are those of `SceneFeatures`."""
 
     programs: ProgramFeatures
     request_program: ProgramFeatures

@@ -54,7 +54,7 @@ _DIFFUSE_KINDS = tuple(
 
 @dataclass(frozen=True, kw_only=True)
 class OcclusionFeatures:
-    """What the stage is specialised on; the fields are those of `SceneFeatures`."""
+    """Features that the stage is specialised on; the fields are those of `SceneFeatures`."""
 
     closures: tuple[ClosureKind, ...]
     programs: ProgramFeatures

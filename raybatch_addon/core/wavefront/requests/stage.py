@@ -36,7 +36,7 @@ _PASSED_MOST = 4096
 
 @dataclass(frozen=True)
 class RequestFeatures(VertexFeatures, AskFeatures):
-    """What the stage is specialised on; the fields are those of `SceneFeatures`."""
+    """Features that the stage is specialised on; the fields are those of `SceneFeatures`."""
 
 
 @functools.cache

@@ -29,7 +29,7 @@ NEW_PATH = int(Status.ALIVE | Status.RAY_OUT) | CAMERA_RAY << VISIBILITY_SHIFT
 
 @dataclass(frozen=True, kw_only=True)
 class GenerateFeatures:
-    """What the stage is specialised on."""
+    """Features that the stage is specialised on."""
 
     camera: CameraKind | None  # None: any
     depth_of_field: bool
@@ -65,7 +65,7 @@ def pixel_in_blocks(number: int, width: int, height: int) -> wp.vec2i:
 
 @wp.struct
 class PixelSample:
-    """What an item stands for."""
+    """The sample of a pixel that an item stands for."""
 
     x: int  # column and row in the frame
     y: int

@@ -37,7 +37,7 @@ ENDED, INSIDE = int(Status.ENDED), int(Status.INSIDE)
 
 @dataclass(frozen=True, kw_only=True)
 class BackgroundFeatures:
-    """What the background stage is specialised on."""
+    """Features that the background stage is specialised on."""
 
     world: bool
     film_transparent: bool

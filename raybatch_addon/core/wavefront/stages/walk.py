@@ -52,7 +52,7 @@ _LONGEST = 1e30
 
 @dataclass(frozen=True)
 class WalkFeatures:
-    """What the stage is specialised on; the fields are those of `SceneFeatures`."""
+    """Features that the stage is specialised on; the fields are those of `SceneFeatures`."""
 
     instancing: bool
     smooth_normals: bool

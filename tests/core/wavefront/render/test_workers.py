@@ -1,4 +1,4 @@
-"""What is reported for the number of paths alive."""
+"""Reports of the number of paths alive."""
 
 import pytest
 

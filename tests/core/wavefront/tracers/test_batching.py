@@ -85,7 +85,7 @@ def test_rays_come_in_and_go_out_at_any_time(parallel):
 @pytest.mark.parametrize("parallel", PARALLEL)
 @pytest.mark.parametrize("sizes", [(0, 0), (4, 5)])
 def test_rays_can_be_forgotten(parallel, sizes):
-    """As when a tile is given up."""
+    """Rays are forgotten when a tile is given up."""
     tracer, visits = wandering(30, 200, parallel, debug_checks="ON", queue_size=sizes[0], queue_count=sizes[1])
     for turn in range(3):
         visits.zero_()

@@ -37,7 +37,7 @@ _CASTS_SHADOW, _VISIBILITY_SHIFT, _PROGRAM_SHIFT = 2, 2, 7
 
 @dataclass(frozen=True, kw_only=True)
 class AimFeatures:
-    """What the stage is specialised on; the fields are those of `SceneFeatures`."""
+    """Features that the stage is specialised on; the fields are those of `SceneFeatures`."""
 
     instancing: bool
     smooth_normals: bool

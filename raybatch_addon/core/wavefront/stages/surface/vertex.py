@@ -30,7 +30,7 @@ INSIDE = int(Status.INSIDE)
 
 @dataclass(frozen=True, kw_only=True)
 class VertexFeatures:
-    """What a vertex is specialised on; the fields are those of `SceneFeatures`."""
+    """Features that a vertex is specialised on; the fields are those of `SceneFeatures`."""
 
     instancing: bool
     smooth_normals: bool

@@ -1,4 +1,4 @@
-"""What queues hold of rays: numbers of their slots (INDIRECT), or by value all that a traversal needs (DIRECT).
+"""Storage of rays in queues: numbers of their slots (INDIRECT), or by value all that a traversal needs (DIRECT).
 
 By value, a ray's state lies in the queues' blocks and is copied with it. A batch is traced in memory of its own, in
 which rays lie side by side: those that ask for the closest hit at positions below the capacity, the others behind.
@@ -136,8 +136,8 @@ CUDA_BATCH_BY_VALUE = 1 << 20
 
 
 class Storage(Protocol):
-    """What queues hold of rays, and where batches are traced. A batch that was taken is put back before the next one
-    is taken.
+    """Holds the rays of queues, and says where batches are traced. A batch that was taken is put back before the next
+    one is taken.
     """
 
     kernels: ClassVar[tuple[wp.Kernel, ...]]
@@ -161,10 +161,10 @@ class Storage(Protocol):
         """New rays wait in the queues that `rule` says."""
 
     def take(self, chosen: Sequence[int] | None, rule: QueueRule, bound: int) -> RayList:
-        """As `BucketQueues.take`; the batch's slots are those of `rays`."""
+        """See `BucketQueues.take`; the batch's slots are those of `rays`."""
 
     def take_marked(self, rule: QueueRule, bound: int) -> RayList:
-        """As `BucketQueues.take_marked`; the batch's slots are those of `rays`."""
+        """See `BucketQueues.take_marked`; the batch's slots are those of `rays`."""
 
     def put(self, rule: QueueRule) -> None:
         """The rays that were taken last wait where the batch says."""
@@ -301,7 +301,7 @@ class ByValue:
         return self._load(self._queues.take(chosen, rule, bound, self._pool_index))
 
     def take_marked(self, rule: QueueRule, bound: int) -> RayList:
-        """As `take`, of the marked queue."""
+        """Take rays as `take` does, of the marked queue."""
         return self._load(self._queues.take_marked(rule, bound, self._pool_index))
 
     def _load(self, batch: RayList) -> RayList:
