@@ -198,9 +198,9 @@ class Checkpoint:
 
     def _write(self, copy: _Copy, begun: float, stopped: float) -> None:
         """On the thread that writes."""
-        place, written_from = self._identity.place, time.perf_counter()
+        part, written_from = self._identity.part, time.perf_counter()
         try:
-            arrays = (samples_as_arrays(place, tiles) for tiles in copy.halves)
+            arrays = (samples_as_arrays(part, tiles) for tiles in copy.halves)
             self._bytes = write_kept(self.path, self._identity, copy.progress, arrays)
             self._count += 1
             self._mark = copy.mark

@@ -106,12 +106,12 @@ def load_kept(path: Path) -> KeptFilm:
             identity = FilmIdentity.of_record(header["film"])
             names = [name for name in archive.namelist() if name != _HEADER]
             arrays = {name.removesuffix(".npy"): _read_array(archive, name) for name in names}
-        progress = KeptProgress.of_record(header["progress"], arrays, identity.place)
+        progress = KeptProgress.of_record(header["progress"], arrays, identity.part)
         halves = []
         for number in range(progress.half_count):
             start = f"{number}/"
             own = {name.removeprefix(start): values for name, values in arrays.items() if name.startswith(start)}
-            halves.append(samples_of_arrays(identity.place, own))
+            halves.append(samples_of_arrays(identity.part, own))
     except FileNotFoundError:
         raise CheckpointError(f"there is no file {path}") from None
     except OSError as error:

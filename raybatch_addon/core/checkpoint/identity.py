@@ -16,7 +16,7 @@ from ..scene.description import Frame, Scene
 from ..scene.passes import matte_kinds
 from ..settings.settings import RenderSettings
 from ..wavefront.render.resume import estimator_settings
-from .samples import Place
+from .samples import FilmPart
 
 # Whose code makes the film's bits
 _VERSIONS = ("raybatch", "warp")
@@ -69,9 +69,9 @@ class FilmIdentity:
         return dataclasses.asdict(self)
 
     @property
-    def place(self) -> Place:
+    def part(self) -> FilmPart:
         """Whose samples the film has."""
-        return Place(self.region, self.passes, layout_of(self.passes, self.transparent))
+        return FilmPart(self.region, self.passes, layout_of(self.passes, self.transparent))
 
     @property
     def frame(self) -> Frame:

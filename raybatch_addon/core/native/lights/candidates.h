@@ -15,8 +15,8 @@ auto is_distant_linked = [&](int number) {
 #endif
 
 #if LOCAL
-// Nodes of a block at once: a vector on the CPU, of all or of the first few where there are no others; one after another
-// on a GPU.
+// Nodes of a block at once: a vector on the CPU, of all or of the first few where there are no others; one after
+// another on a GPU.
 #if defined(__CUDA_ARCH__)
 auto root = [](float x) { return wp::sqrt(x); };
 auto absolute = [](float x) { return wp::abs(x); };

@@ -69,7 +69,7 @@ class PixelSample:
 
     x: int  # column and row in the frame
     y: int
-    pixel: int  # within the tile, row by row from its bottom left
+    index: int  # of the pixel within the tile, row by row from its bottom left
     sample: wp.uint32  # index of the pixel's sample
 
 
@@ -95,7 +95,7 @@ def pixel_sample(work: TileWork, number: wp.uint32) -> PixelSample:
     result = PixelSample()
     result.x = work.x + place[0]
     result.y = work.y + place[1]
-    result.pixel = place[1] * work.width + place[0]
+    result.index = place[1] * work.width + place[0]
     result.sample = wp.uint32(work.sample_first + sample)
     return result
 
@@ -109,7 +109,7 @@ def counted_kernel(work: TileWork, paths: Paths, bounce: wp.array(dtype=int), pi
     if paths.status[path] == 0:
         return
     bounce[path] = bounce_of(paths.status[path])
-    pixel[path] = pixel_sample(work, paths.item[path]).pixel
+    pixel[path] = pixel_sample(work, paths.item[path]).index
 
 
 @wp.func
@@ -141,11 +141,11 @@ def make_begin_path(features: GenerateFeatures) -> wp.Function:
     def begin_path(
         work: TileWork, limits: PathLimits, camera: CameraData, paths: Paths, rays: Rays, path: int, number: wp.uint32
     ):
-        where = pixel_sample(work, number)
-        x = where.x
-        y = where.y
+        pixel = pixel_sample(work, number)
+        x = pixel.x
+        y = pixel.y
         key = pixel_key(limits.seed, wp.uint32(x), wp.uint32(y), wp.uint32(work.frame_width))
-        index = where.sample
+        index = pixel.sample
         offset = sample_filter(work.filter_table, sample_2d(key, index, wp.uint32(FILTER)))
         lens = wp.vec2(0.5, 0.5)
         if wp.static(features.depth_of_field):

@@ -33,7 +33,7 @@ def meanings(work: TileWork, numbers: wp.array(dtype=wp.uint32), result: wp.arra
     found = pixel_sample(work, numbers[i])
     result[i, 0] = wp.int64(found.x)
     result[i, 1] = wp.int64(found.y)
-    result[i, 2] = wp.int64(found.pixel)
+    result[i, 2] = wp.int64(found.index)
     result[i, 3] = wp.int64(found.sample)
 
 

@@ -1,9 +1,9 @@
 // What a lane holds in a quantised tree that is cut into treelets.
 //
 // As `lane.h`, except that indices are relative to the blocks of the tree or treelet that the ray is in, whose
-// addresses are the lane's own. Groups of nodes have in bits 8 to 15 the level of the node that holds them, counted from
-// the root of the top level or, if there is none, of the mesh; in bit 16 whether they are of a treelet, and then the
-// level is that of its root.
+// addresses are the lane's own. Groups of nodes have in bits 8 to 15 the level of the node that holds them, counted
+// from the root of the top level or, if there is none, of the mesh; in bit 16 whether they are of a treelet, and then
+// the level is that of its root.
 
 constexpr unsigned NONE = 0xffffffffu;
 // in `state`

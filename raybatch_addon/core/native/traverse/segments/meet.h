@@ -64,8 +64,8 @@ auto enter_segment = [&](const float* o, const float* d, const Segment& g) INLIN
     entry.good = met > 2.0f * most ? -1.0f + zero : least;
     return entry;
 };
-// The same of a strip that faces the ray: where the ray passes the axis, or the nearer end of it, at most a radius away.
-// Nearer to the ray's origin than twice the radius no strip is met: not the one that the ray leaves.
+// The same of a strip that faces the ray: where the ray passes the axis, or the nearer end of it, at most a radius
+// away. Nearer to the ray's origin than twice the radius no strip is met: not the one that the ray leaves.
 auto enter_ribbon = [&](const float* o, const float* d, const Segment& g) INLINE_SEGMENT -> Entry {
     const float dd = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
     const Number ex = g.bx - g.ax, ey = g.by - g.ay, ez = g.bz - g.az;
@@ -147,8 +147,8 @@ auto place_on_segment = [&](const Axis& axis, const float* q, float s, float& u,
     u = s < 0.0f ? 0.0f : s > 1.0f ? 1.0f : s;
     return turn_of(e, q, v);
 };
-// Whether the point q, relative to the middle, lies between the planes of a strip, turned until the ray lies in them; its
-// place on the surface of the round curve that the strip stands for, in front of q. s: 0 to 1
+// Whether the point q, relative to the middle, lies between the planes of a strip, turned until the ray lies in them;
+// its place on the surface of the round curve that the strip stands for, in front of q. s: 0 to 1
 auto place_on_ribbon = [&](const Axis& axis, const float* d, float radius, const float* q, float s, float& u, float& v)
                            INLINE_SEGMENT -> bool {
     const float *e = axis.e, *n = axis.n, *m = axis.m;

@@ -1,5 +1,5 @@
-// The lane's ray meets a segment: what stands in `quantised/test.h` in place of `meet_triangle`, so that segments accept
-// hits as triangles do.
+// The lane's ray meets a segment: what stands in `quantised/test.h` in place of `meet_triangle`, so that segments
+// accept hits as triangles do.
 
 // a and b: its points; p, c: its block, and the third corner there, of the step behind where it deforms
 auto meet_segment = [&](const Words& a, const Words& b, const Words* p, float& t, float& u, float& v) -> bool {

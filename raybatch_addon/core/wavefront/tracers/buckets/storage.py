@@ -152,9 +152,9 @@ class Storage(Protocol):
         """Rays of a batch at most."""
 
     @staticmethod
-    def bytes_per_slot(progress_bytes: int, instancing: bool, moving: bool, place_share: float) -> float:
+    def bytes_per_slot(progress_bytes: int, instancing: bool, moving: bool, entry_share: float) -> float:
         """Device memory for each ray slot [bytes]. `progress_bytes`: of a ray's progress; `moving`: rays have times;
-        `place_share`: entries of the pool for each slot.
+        `entry_share`: entries of the pool for each slot.
         """
 
     def begin(self, batch: RayList, rule: QueueRule) -> None:
@@ -196,7 +196,7 @@ class InPlace:
         return batch_capacity(slot_count, queue_size, is_cuda)
 
     @staticmethod
-    def bytes_per_slot(progress_bytes: int, instancing: bool, moving: bool, place_share: float) -> float:
+    def bytes_per_slot(progress_bytes: int, instancing: bool, moving: bool, entry_share: float) -> float:
         """Progress alone."""
         return progress_bytes
 
@@ -255,12 +255,12 @@ class ByValue:
         """For rays of `home`, with trails of `words` words; those from slot `any_first` on ask for any hit. `moving`:
         their times are looked at.
         """
-        device, capacity, place_count = queues.device, queues.capacity, queues.size.place_count
+        device, capacity, entry_count = queues.device, queues.capacity, queues.size.entry_count
         mixed = any_first < home.origin.size
         self._queues, self._home, self._home_counts, self._taken = queues, home, counts, None
         self._launches = RepeatedLaunches(device)
-        self._values = _allocate_values(place_count, home, moving, device)
-        self._stored = allocate_progress(place_count, words, instancing, device)
+        self._values = _allocate_values(entry_count, home, moving, device)
+        self._stored = allocate_progress(entry_count, words, instancing, device)
         size = capacity * (2 if mixed else 1)
         self.rays = _allocate_values(size, home, moving, device)
         self.progress = allocate_progress(size, words, instancing, device)
@@ -282,9 +282,9 @@ class ByValue:
         return min(batch_capacity(slot_count, queue_size, is_cuda), max(CUDA_BATCH_BY_VALUE, queue_size))
 
     @staticmethod
-    def bytes_per_slot(progress_bytes: int, instancing: bool, moving: bool, place_share: float) -> float:
+    def bytes_per_slot(progress_bytes: int, instancing: bool, moving: bool, entry_share: float) -> float:
         """Progress and values in every entry of the pool."""
-        return (progress_bytes + VALUE_BYTES + 4 * instancing + 4 * moving) * place_share
+        return (progress_bytes + VALUE_BYTES + 4 * instancing + 4 * moving) * entry_share
 
     def begin(self, batch: RayList, rule: QueueRule) -> None:
         """Put the rays into queues, and their values into the pool."""

@@ -94,7 +94,7 @@ def batching_bytes_per_path(
     size = pool_size(queues, settings.queue_size, settings.queue_count, many)
     progress_bytes = 4 * trail_words(levels) + 4 * instancing
     storage = STORAGES[settings.ray_storage]
-    stored = storage.bytes_per_slot(progress_bytes, instancing, moving, size.place_count / many)
+    stored = storage.bytes_per_slot(progress_bytes, instancing, moving, size.entry_count / many)
     return math.ceil((1 + shadow_rays) * (stored + pool_bytes(size, queues, is_cuda) / many))
 
 
