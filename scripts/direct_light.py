@@ -30,7 +30,7 @@ from raybatch_addon.core.scene.archive import load_scene
 from raybatch_addon.core.scene.description import CameraKind, ClosureKind, LightKind, Scene
 from raybatch_addon.core.scene.flatten import flatten
 
-# of the distance from the camera: a nearer triangle is the one that a ray leaves; float64 is a million times better
+# Share of the distance from the camera: a nearer triangle is the one that a ray leaves; float64 is 1e6 times better
 CLOSE = 1e-9
 
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""What features cost a scene that has none of them. `features_cost.py --help` says how."""
+"""The cost of features to a scene that has none of them. `features_cost.py --help` says how."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What all tests share: the device they run on, compiled kernels, and their order."""
+"""The parts that all tests share: the device they run on, compiled kernels, and their order."""
 
 import os
 from pathlib import Path

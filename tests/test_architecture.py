@@ -84,7 +84,7 @@ WIDE_FIELDS = 8  # of a dataclass from which on they are given by name
 # Constants that each file has of its own: of a format, an environment variable, a type variable, and what the engine is
 # called where a person reads it and where Blender does
 OF_EACH_FILE = {"FORMAT", "VERSION", "VARIABLE", "T", "ENGINE"}
-# of C++: its name, and its parameters
+# A lambda of C++: its name, and its parameters
 LAMBDA = re.compile(r"(\w+) = \[[&=]?\]\s*\(([^()]*)\)")
 
 

@@ -17,7 +17,7 @@ ENDING = ".checkpoint"
 
 @dataclass(frozen=True)
 class AskedCheckpoint:
-    """What a script asks for in the place of what the scene says."""
+    """The checkpoint that a script asks for, in place of the one that the scene asks for."""
 
     path: Path | None  # of a frame with one picture; None: no checkpoint
     interval: float = 60.0  # [s]

@@ -1,4 +1,4 @@
-"""What a scene would be rendered without, reported before the render; and renders that are refused for it."""
+"""Parts of a scene that a render would lack, reported before the render; and renders that are refused for them."""
 
 from __future__ import annotations
 

@@ -38,8 +38,8 @@ def session_for(settings: RenderSettings, cancelled: Callable[[], bool] = lambda
 
 @contextmanager
 def preview_session(settings: RenderSettings, cancelled: Callable[[], bool]) -> Iterator[Session | None]:
-    """As `session_for`, for previews: their session is one of their own, so that what is kept of the user's scene stays
-    where it is.
+    """The session of previews, lent like that of `session_for`. It is a session of their own, so that what is kept of
+    the user's scene stays where it is.
     """
     with _lent_first(cancelled) as is_ours:
         yield _session_of(settings, "preview ") if is_ours else None
@@ -67,7 +67,7 @@ class ViewSessions:
 
     @contextmanager
     def session(self, request: LiveRequest, given_up: Callable[[], bool]) -> Iterator[Session | None]:
-        """As `SessionSource.session`."""
+        """See `SessionSource.session`."""
         is_ours, turn = False, object()
         with _changed:
             _views.append(turn)
@@ -86,7 +86,7 @@ class ViewSessions:
                 _give_back()
 
     def is_wanted(self, has_shown: bool) -> bool:
-        """As `SessionSource.is_wanted`: by a final render at once, by another viewport once a picture came."""
+        """See `SessionSource.is_wanted`: by a final render at once, by another viewport once a picture came."""
         return finals.are_under_way() or (has_shown and len(_views) > 0)
 
 

@@ -17,7 +17,7 @@ from .sessions import session_for
 
 @dataclass(frozen=True)
 class Tuned:
-    """What came of the last one."""
+    """The result of a tuning, and the scene that it was for."""
 
     scene: str
     tuning: Tuning
@@ -25,7 +25,7 @@ class Tuned:
 
 @dataclass
 class _Request:
-    """What was asked for."""
+    """A request that the next render try schedules."""
 
     scene: str
     seconds: float  # for a candidate
@@ -109,7 +109,7 @@ def run_tuning(
 
 
 def _other_devices(settings: RenderSettings) -> list[str]:
-    """Those that would not render now: an empty list where they are not known yet."""
+    """Devices that would not render now: an empty list where they are not known yet."""
     known = [each.name for each in device_choices() or () if each.name != "AUTO"]
     cuda = [name for name in known if name != "cpu"]
     now = settings.device.lower() if settings.device.upper() != "AUTO" else (cuda or ["cpu"])[0]

@@ -1,4 +1,5 @@
-"""What each first render needs whatever its scene is, made before: the core is imported and general kernels declared.
+"""Work that each first render needs whatever its scene is, done before: the core is imported and general kernels
+declared.
 
 That takes half a second of Python. It happens in a thread: in a Blender with a window once a scene of the file has
 RayBatch as its engine, else while Blender evaluates the scene that is to be rendered; other files never pay for it.

@@ -12,7 +12,7 @@ from .plotting.raster import Canvas, Color, line_height, text_width
 from .records import RUNNING, Run
 from .run_texts import names_of
 
-# Of the slots: apart from each other for colour-blind eyes too, and light enough for a dark pane
+# Colours of the slots: distinct for colour-blind eyes too, and light enough for a dark pane
 SLOT_COLORS: tuple[Color, ...] = (
     (0.34, 0.71, 0.91),
     (0.96, 0.65, 0.14),

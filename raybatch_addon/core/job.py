@@ -1,4 +1,4 @@
-"""What one call of `Session.render` was asked for, and what is filled in while it runs."""
+"""The request of one call of `Session.render`, and what is filled in while it runs."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from .wavefront.tier import TierChoice
 
 @dataclass(kw_only=True)
 class Job:
-    """What one call of `render` was asked for."""
+    """The request of one call of `render`."""
 
     scene: Scene
     settings: RenderSettings

@@ -1,4 +1,4 @@
-"""What a render reports while it runs, and to whom."""
+"""Reports of a render while it runs, and who receives them."""
 
 from __future__ import annotations
 

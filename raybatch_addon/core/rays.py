@@ -9,7 +9,7 @@ import warp as wp
 
 
 class RayKind(IntEnum):
-    """What is asked of a ray."""
+    """The question that is asked of a ray."""
 
     CLOSEST = 0  # the closest hit
     OCCLUSION = 1  # whether anything is hit

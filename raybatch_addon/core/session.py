@@ -291,7 +291,7 @@ class Session:
     def _workers(self, job: Job, scene: DeviceScene, state: ResumeState) -> list[TileIntegrator]:
         last = state.end == state.policy.sample_count
         areas = [halves[0].tile.pixel_count for halves in (state.open_tiles if last else state.tiles)]
-        # of a pixel in one half: halves are rendered one after the other
+        # samples of a pixel in one half: halves are rendered one after the other
         samples = -(-state.policy.sample_count // job.settings.half_count)
         workers = make_workers(scene, job.scene.frame, job.settings, areas, samples)
         job.warnings += workers.warnings

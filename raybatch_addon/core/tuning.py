@@ -42,7 +42,7 @@ class Trial:
 
 @dataclass
 class Tuning:
-    """What was tried, the given settings first."""
+    """The schedules that were tried, the given settings first."""
 
     settings: RenderSettings
     samples: int = 0  # that each candidate rendered
@@ -205,7 +205,7 @@ class _Clock:
 
 
 def _digest(film: Film) -> str:
-    """Of every bit of the film's passes."""
+    """A digest of every bit of the film's passes."""
     digest = hashlib.sha256()
     for name, pixels in sorted(film.passes.items()):
         digest.update(name.encode())

@@ -1,4 +1,4 @@
-"""What `blender -b ... -- OPTIONS` asks of RayBatch: options behind `--`, which Blender leaves to others.
+"""Options of RayBatch in `blender -b ... -- OPTIONS`: those behind `--`, which Blender leaves to others.
 
 --raybatch-device DEVICE                       render there: AUTO, cpu or cuda:N
 --raybatch-set NAME=VALUE                      render with this value of a setting (may be repeated)

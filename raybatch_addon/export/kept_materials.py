@@ -105,7 +105,7 @@ class KeptMaterials:
         return (*own, self._collections.engine, graph)
 
     def find_untouched(self, material: bpy.types.Material | None) -> tuple[Material, list[str]] | None:
-        """As `find`, for a material that no edit touched, without its signature."""
+        """Find a material as `find` does, one that no edit touched, without its signature."""
         if self.untouched is None or material is None:
             return None
         kept = self.untouched.find(material, self._collections)

@@ -21,7 +21,7 @@ def statistics_of(scene: bpy.types.Scene, layer_name: str = "") -> dict[str, Any
 
 
 def last_statistics(context) -> dict[str, Any] | None:
-    """Those of the context's scene and view layer."""
+    """Statistics of the context's scene and view layer."""
     return statistics_of(context.scene, context.view_layer.name)
 
 

@@ -21,7 +21,9 @@ FIRST = "0.1.0"  # kept no version
 
 @dataclass(frozen=True)
 class Migration:
-    """What `version` changed: `change` brings `scene.raybatch` of an earlier one to it, and leaves later ones alone."""
+    """The change that came with `version`: `change` brings `scene.raybatch` of an earlier one to it, and leaves later
+    ones alone.
+    """
 
     version: str
     change: Callable[[bpy.types.PropertyGroup], None]

@@ -10,7 +10,7 @@ import bpy
 
 ENGINE = "RAYBATCH"
 LATER = 1  # `bl_order` of panels behind those that come without one, as Simplify
-# Of Blender's interface, at scale 1 [pixels]
+# Sizes in Blender's interface, at scale 1 [pixels]
 _LETTER_POINTS = 11
 ICON_WIDTH = 20
 # What a panel, and a box in it, keep free beside their text

@@ -17,7 +17,7 @@ from .panel import ENGINE, register_all, unregister_all
 # The folder in which Blender finds `presets`
 _HOME = str(Path(__file__).parents[1])
 RENDER, BATCHING = "raybatch/render", "raybatch/batching"
-# Of the computer, not of the picture
+# Settings of the computer, not of the picture
 _LEFT_OUT = {"denoise_library"} | {info.name for info in SETTINGS.values() if info.group == "DEVICE"}
 
 

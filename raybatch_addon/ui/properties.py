@@ -53,7 +53,7 @@ def _property(info: SettingInfo):
         return bpy.props.IntProperty(min=int(info.minimum), max=int(info.maximum), **about)
     if info.unit == "s":
         return bpy.props.FloatProperty(min=info.minimum, max=info.maximum, unit="TIME_ABSOLUTE", step=100, **about)
-    # of a relative error the last of three digits would often be the first
+    # the first digit of a relative error that is not 0 is often the third
     precision = {"relMSE": 6, "relative": 4}.get(info.unit, 3)
     return bpy.props.FloatProperty(min=info.minimum, max=info.maximum, precision=precision, **about)
 

@@ -46,7 +46,7 @@ class Verdict:
 
 @wp.struct
 class Certainty:
-    """What float32 may find."""
+    """The limits of answers that float32 may find."""
 
     hit_before: wp.float64  # an answer beyond this is too far [m]; infinite: a miss is right
     hit_after: wp.float64  # an answer before this is too near [m]; infinite: a hit is wrong

@@ -1,4 +1,4 @@
-"""What it costs to record a render: beside the same render that nobody watches."""
+"""The cost of recording a render: beside the same render that nobody watches."""
 
 from __future__ import annotations
 

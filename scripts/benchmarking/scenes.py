@@ -27,7 +27,7 @@ INDEX_MAX = 2**31 - 1
 
 @dataclass(frozen=True)
 class SceneRequest:
-    """What was asked for on the command line."""
+    """The scene asked for on the command line."""
 
     path: Path
     grid: int = 1  # copies along each of two axes
@@ -36,7 +36,7 @@ class SceneRequest:
 
     @property
     def name(self) -> str:
-        """For reports."""
+        """The scene's name in reports."""
         return self.path.name + (f" {self.grid} x {self.grid}" if self.grid > 1 else "")
 
 

@@ -28,7 +28,7 @@ WITHOUT_RAY_TRACING_CORES = ("A100", "A800", "H100", "H200", "H800", "GH200", "B
 
 @dataclass
 class Timed:
-    """What an engine took: whole renders of two sample counts, in turns."""
+    """The times that an engine took: whole renders of two sample counts, in turns."""
 
     shorter: list[float] = field(default_factory=list)  # [s]
     longer: list[float] = field(default_factory=list)  # [s]

@@ -116,11 +116,11 @@ class OwnSession:
 
     @contextmanager
     def session(self, _request: LiveRequest, _given_up: Callable[[], bool]) -> Iterator[Session]:
-        """As `SessionSource.session`."""
+        """See `SessionSource.session`."""
         yield self._session
 
     def is_wanted(self, _has_shown: bool) -> bool:
-        """As `SessionSource.is_wanted`."""
+        """See `SessionSource.is_wanted`."""
         return False
 
 

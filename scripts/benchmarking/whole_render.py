@@ -48,7 +48,7 @@ class RenderRequest:
 
 @dataclass(frozen=True)
 class OpenedScene:
-    """What is rendered."""
+    """The scene to be rendered, opened."""
 
     name: str
     scene: Scene

@@ -73,7 +73,7 @@ class Check:
 
 @dataclass
 class KindFigures:
-    """What was found for one kind of rays."""
+    """Findings for one kind of rays."""
 
     rays: int = 0
     hits: int = 0

@@ -1,5 +1,5 @@
-"""What may be found, in float64: the judge of `benchmarking/judge.py` for many rays, and hits against the triangles
-that they name.
+"""The judge of `benchmarking/judge.py` for many rays, in float64: answers that may be found, and hits against the
+triangles that they name.
 
 Every triangle is asked, but triangles whose common box a ray misses by more than the bound are passed together: plain
 loops over boxes, no tree of the project's.
@@ -62,7 +62,7 @@ def judge_blocks_kernel(
     hit_before: wp.array(dtype=wp.float64),
     hit_after: wp.array(dtype=wp.float64),
 ):
-    """As `judge_kernel`, for ray `first` + thread."""
+    """Judge ray `first` + thread as `judge_kernel` does."""
     ray = first + wp.tid()
     o, d, carried = rays.origin[ray], rays.direction[ray], rays.carried[ray]
     before = wp.float64(wp.inf)

@@ -33,7 +33,7 @@ PLACE_GROWN = 1.5  # origins lie in the box, made so much larger
 
 @wp.struct
 class RaySource:
-    """What rays are made from."""
+    """The triangles that rays are made from."""
 
     positions: wp.array(dtype=wp.vec3)  # in the world [m]
     triangles: wp.array(dtype=wp.vec3i)

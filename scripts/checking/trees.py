@@ -160,7 +160,7 @@ def build_tracer(name: str, scene: BenchmarkScene, geometry: Geometry, device: w
 
 
 def trees_geometry(flat: FlatGeometry, device: wp.Device) -> Geometry:
-    """As much of `flat` on `device` as trees are built of."""
+    """The part of `flat` that trees are built of, on `device`."""
     geometry = Geometry()
     geometry.positions = wp.array(flat.positions, dtype=wp.vec3, device=device)
     geometry.triangles = wp.array(flat.triangles, dtype=wp.vec3i, device=device)

@@ -1,4 +1,4 @@
-"""What is asked first: at equal time, how many times the error of the first setting each other one has."""
+"""The question asked first: at equal time, how many times the error of the first setting each other one has."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ class EqualTime:
 
     @property
     def says(self) -> str:
-        """One line."""
+        """The comparison in one line."""
         times = "as much error as" if 0.995 <= self.ratio < 1.005 else f"{self.ratio:.3g} times the error of"
         runs = "" if self.least == self.most else f" ({self.least:.2g} to {self.most:.2g} in single runs)"
         return f"at equal time ({self.seconds:.3g} s) {self.label} has {times} {self.first}{runs}"
 
     def data(self) -> dict[str, Any]:
-        """As JSON holds it, with six digits."""
+        """The values as JSON holds them, with six digits."""
         values = {name: getattr(self, name) for name in ("seconds", "ratio", "least", "most")}
         return {"label": self.label, "first": self.first, **{name: float(f"{x:.6g}") for name, x in values.items()}}
 

@@ -1,4 +1,4 @@
-"""What the runs say, as JSON has it."""
+"""The results of the runs, as JSON has them."""
 
 from __future__ import annotations
 

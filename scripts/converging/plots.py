@@ -30,7 +30,7 @@ SIZE = (5.6, 4.2)  # of a panel [inches]
 
 @dataclass(frozen=True)
 class Panel:
-    """What is drawn against what."""
+    """The axes of a plot."""
 
     y: str
     x: str

@@ -1,5 +1,5 @@
-"""What errors are measured against: a file, Cycles, or this engine with another seed and many more samples; what was
-made is kept.
+"""The reference that errors are measured against: a file, Cycles, or this engine with another seed and many more
+samples; what was made is kept.
 """
 
 from __future__ import annotations
@@ -72,11 +72,11 @@ class LastHalves(RenderObserver):
         self.snapshot: Snapshot | None = None
 
     def snapshot_samples(self, _sample_count: int) -> list[int]:
-        """None on the way."""
+        """No snapshots on the way."""
         return []
 
     def on_snapshot(self, snapshot: Snapshot) -> None:
-        """At the end."""
+        """Takes the snapshot at the end."""
         self.snapshot = snapshot
 
 

@@ -1,4 +1,4 @@
-"""What convergence.py was asked for, and the settings that it compares."""
+"""The request of convergence.py, and the settings that it compares."""
 
 from __future__ import annotations
 

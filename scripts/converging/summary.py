@@ -1,4 +1,4 @@
-"""What the runs say: slopes, time to an error, efficiency; in numbers, in words, and as JSON."""
+"""The results of the runs: slopes, time to an error, efficiency; in numbers, in words, and as JSON."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FLOOR_TOLD = 0.1
 
 
 def short(value: float | None) -> float | None:
-    """Six digits, which is more than any of these has; None for what is not finite."""
+    """`value` with six digits, which is more than any of these has; None for what is not finite."""
     return float(f"{value:.6g}") if value is not None and math.isfinite(value) else None
 
 
@@ -43,13 +43,13 @@ class Ranged:
         return Ranged(statistics.median(values), min(values), max(values)) if values else None
 
     def json(self) -> dict[str, float]:
-        """Six digits."""
+        """The values with six digits each, as JSON holds them."""
         return shortened(dataclasses.asdict(self))
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the runs of one variant say."""
+    """The results of the runs of one variant."""
 
     variant: Variant
     runs: list[Run]
@@ -77,7 +77,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Summary:
-    """What a study says."""
+    """The results of a study."""
 
     study: Study
     target: float | None  # relMSE

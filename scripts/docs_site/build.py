@@ -32,7 +32,7 @@ def wanted() -> list[str]:
 
 
 def missing(requirements: list[str]) -> list[str]:
-    """Those of `requirements` that are not installed here, or in another version."""
+    """The `requirements` that are not installed here, or in another version."""
 
     def is_there(requirement: str) -> bool:
         name, _, version = requirement.partition("==")

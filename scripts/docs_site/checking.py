@@ -12,7 +12,7 @@ _LINK_KINDS = {"stylesheet", "icon", "preload", "prefetch", "modulepreload", "ma
 
 
 class _Page(HTMLParser):
-    """What a page links, what it has fetched, and its anchors."""
+    """A page's links, the files that it fetches, and its anchors."""
 
     def __init__(self, text: str):
         super().__init__()

@@ -9,7 +9,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
-# Of the project's folder, that are pages of the site too
+# Files of the project's folder that are pages of the site too
 BESIDE = ("CONTRIBUTING.md", "CHANGELOG.md")
 # The parts of the site, and their pages in order; a pattern takes those that are not named
 PARTS = {

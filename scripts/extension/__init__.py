@@ -1,1 +1,1 @@
-"""What users install RayBatch from, beside the zips of `package.py`."""
+"""The repository that users install RayBatch from, beside the zips of `package.py`."""

@@ -20,7 +20,7 @@ UNDECIDED, TOO_NOISY = "undecided", "too noisy"
 
 @dataclass(frozen=True)
 class Judgement:
-    """What superposition says of a file."""
+    """The verdict of superposition on a file."""
 
     right: str  # “RayBatch”, “Cycles”, UNDECIDED or TOO_NOISY
     why: str
@@ -28,7 +28,7 @@ class Judgement:
     sources: dict[str, Agreement]  # by source: RayBatch's picture of it alone, against that of Cycles
 
     def data(self) -> dict[str, Any]:
-        """As JSON holds it."""
+        """The values as JSON holds them."""
         return {
             "right": self.right,
             "why": self.why,

@@ -78,12 +78,12 @@ class Agreement:
         return self.relmse <= self.relmse_most and self.bias < SAME_BIAS
 
     def data(self) -> dict[str, float | None]:
-        """Six digits of each figure, as JSON holds them."""
+        """Each figure with six digits, as JSON holds it."""
         return {name: short(value) for name, value in asdict(self).items()}
 
     @classmethod
     def of_data(cls, data: dict[str, float | None]) -> Agreement:
-        """What `data` gave."""
+        """The inverse of `data`."""
         return cls(**{name: math.nan if value is None else value for name, value in data.items()})
 
 
@@ -185,5 +185,5 @@ class Spread:
         )
 
     def data(self) -> dict[str, float | str | None]:
-        """As JSON holds it."""
+        """The values as JSON holds them."""
         return {name: short(value) if isinstance(value, float) else value for name, value in asdict(self).items()}

@@ -34,7 +34,7 @@ LINES_KEPT = 3  # of what a process said last
 
 @dataclass
 class Outcome:
-    """What came of a process."""
+    """The result of a process."""
 
     status: str
     state: dict[str, Any] = field(default_factory=dict)  # as `worker.Steps` wrote it
@@ -42,7 +42,7 @@ class Outcome:
     pictures: dict[str, np.ndarray] = field(default_factory=dict)
 
     def data(self) -> dict[str, Any]:
-        """As JSON holds it, without pictures."""
+        """The values as JSON holds them, without pictures."""
         return {"status": self.status, "error": self.error, **self.state}
 
 

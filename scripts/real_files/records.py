@@ -21,7 +21,7 @@ ENGINES = ("CYCLES", "RAYBATCH")
 
 @dataclass
 class Record:
-    """What is known of a file: of each engine its pictures, and those of its sources of light."""
+    """The record of a file: of each engine its pictures, and those of its sources of light."""
 
     name: str
     about: dict[str, Any] = field(default_factory=dict)  # what the list says

@@ -1,4 +1,4 @@
-"""What is reported for each file, and of all of them together."""
+"""The rows reported for each file, and those of all of them together."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ class Sheet:
 
 @dataclass
 class Sheets:
-    """What a file without a camera is rendered as."""
+    """The scene that a file without a camera is rendered as."""
 
     note: str  # what was done, for whoever reads of the file
     materials: list[str] = field(default_factory=list)  # by name, in their order on the sheets

@@ -95,7 +95,7 @@ def _hide(lamp: bpy.types.Object) -> None:
 
 
 def _darken_world(world: bpy.types.World) -> None:
-    """Its surface gives no light; its volume stays."""
+    """Take the light of the world's surface away; its volume stays."""
     if not has_nodes(world):
         world.color = (0, 0, 0)
         return

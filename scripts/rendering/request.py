@@ -1,4 +1,4 @@
-"""What render.py was asked for."""
+"""The request of render.py."""
 
 from __future__ import annotations
 

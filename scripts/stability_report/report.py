@@ -77,7 +77,7 @@ def used(result: Result) -> str:
 
 
 def verdict(result: Result) -> str:
-    """One word."""
+    """The verdict on a run in one word."""
     return "skipped" if result.skipped is not None else "passed" if result.passed else "FAILED"
 
 

@@ -1,4 +1,4 @@
-"""What studies of error against time have in common: rows with points, their table and their plot."""
+"""The common part of studies of error against time: rows with points, their table and their plot."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def variants(report: Report, scene: str) -> list[str]:
 
 
 def scenes_of(report: Report) -> list[str]:
-    """In their order."""
+    """Names of the scenes, in their order."""
     return list(dict.fromkeys(row["scene"] for row in report["rows"]))
 
 

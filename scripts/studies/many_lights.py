@@ -140,7 +140,7 @@ def _median(rows: list[Row], figure) -> float:
 
 
 def draw(reports: dict[str, Report], folder: Path) -> None:
-    """A table says it all."""
+    """Draws nothing: a table says it all."""
 
 
 ABOUT = "the same light from 10 to 10,000 sources: error at equal samples and at equal time"

@@ -1,4 +1,4 @@
-"""What the plots of studies have in common. Needs matplotlib."""
+"""The common part of the plots of studies. Needs matplotlib."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ COLORS = (BLUE, RED, GREEN, ORANGE, PINK, SKY, GREY)
 
 
 def panels(count: int, width: float = 0.0, columns: int = 4) -> tuple[pyplot.Figure, list[pyplot.Axes]]:
-    """So many, in rows of `columns` at most; `width` of one [inch], 0: by their number."""
+    """A figure of `count` panels, in rows of `columns` at most; `width` of one [inch], 0: by their number."""
     columns = min(count, columns)
     rows = -(-count // columns)
     columns = -(-count // rows)  # as many in each row

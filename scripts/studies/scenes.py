@@ -210,7 +210,7 @@ def quad(name: str, corners: Sequence[Sequence[float]]) -> Mesh:
 
 
 def diffuse(color: float | tuple[float, float, float]) -> Material:
-    """Lambert."""
+    """A Lambertian material."""
     weight = (color,) * 3 if np.isscalar(color) else tuple(color)
     return Material("Diffuse", (Closure(ClosureKind.DIFFUSE, weight),), (ClosureKind.DIFFUSE,))
 

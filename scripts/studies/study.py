@@ -1,4 +1,4 @@
-"""What a study is: measurements in a fixed order, and what is made of them."""
+"""The parts of a study: measurements in a fixed order, and what is made of them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Report = dict[str, Any]  # of one device: see `rows.gathered`
 
 @dataclass(frozen=True)
 class Options:
-    """What was asked for on the command line."""
+    """The options given on the command line."""
 
     device: str = "AUTO"
     quick: bool = False

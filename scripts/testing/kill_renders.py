@@ -52,7 +52,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
 
 @dataclass
 class Outcome:
-    """What came of the renders of one scene with the settings of one variant."""
+    """The result of the renders of one scene with the settings of one variant."""
 
     scene: str
     variant: str

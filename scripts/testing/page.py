@@ -37,7 +37,7 @@ def stored_rows() -> list[dict[str, Any]]:
 
 
 def table(rows: Iterable[dict[str, Any]]) -> str:
-    """As Markdown."""
+    """`rows` as a table in Markdown."""
     lines = [
         "| check | what | date | commit | seconds | passed | failed | skipped |",
         "|---|---|---|---|---:|---:|---:|---:|",

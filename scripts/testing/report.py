@@ -1,4 +1,4 @@
-"""What every report says of itself."""
+"""The facts that every report states about its own run."""
 
 from __future__ import annotations
 

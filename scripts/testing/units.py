@@ -1,4 +1,4 @@
-"""What is run on a GPU, cut into units of work for processes, and the units into parts for calls.
+"""The work that is run on a GPU, cut into units for processes, and the units into parts for calls.
 
 A unit is a share of a long file of tests, a few short files, or a few cases of tests/stability from one module, which
 share kernels. Units and parts depend on the sources and on the stored seconds alone: every machine cuts them alike.

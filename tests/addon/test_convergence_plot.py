@@ -45,7 +45,7 @@ def point(samples, relmse, seconds=None):
 
 
 def points(count=256, error=0.3):
-    """Of independent samples, exactly, at a tenth of a second each."""
+    """Points of independent samples, exactly, at a tenth of a second each."""
     return tuple(point(n, error / n) for n in geometric_samples(count, 1.5, 2))
 
 
@@ -78,7 +78,7 @@ def test_an_error_that_does_not_fall_is_never_reached():
     assert store.last().time_to(0.1) is None and "never" in target_line(store.last(), 0.1)
 
 
-def test_runs_are_told_apart_by_what_differs():
+def test_runs_are_distinguished_by_what_differs():
     runs = store_of(ESTIMATED, ESTIMATED.replace(nee="OFF"), ESTIMATED.replace(nee="OFF", bounce_max=2)).runs()
     assert names_of(runs) == {1: "#1, Light Sampling On", 2: "#2", 3: "#3, All Bounces 2"}, "what most have is not said"
     assert names_of(runs[1:]) == {1: "#1, Light Sampling On", 2: "#2, Light Sampling Off"}

@@ -58,7 +58,7 @@ def test_both_engines_render_the_same_picture_with_about_the_same_noise(blend):
     assert equal["efficiency"]["raybatch"] == pytest.approx(1 / cost, rel=1e-4)
 
 
-def test_two_sample_counts_tell_set_up_from_sampling_and_a_report_is_not_made_twice(blend, tmp_path):
+def test_two_sample_counts_separate_set_up_from_sampling_and_a_report_is_not_made_twice(blend, tmp_path):
     kept = tmp_path / "slopes.json"
     options = (
         "--device",

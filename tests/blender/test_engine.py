@@ -184,7 +184,7 @@ def test_cost_is_counted_for_those_who_ask_alone(films, tmp_path):
     assert np.array_equal(plain.passes["Combined"], costly.passes["Combined"])
 
 
-def test_adaptive_sampling_tells_who_got_how_many_samples(lit, films, tmp_path):
+def test_adaptive_sampling_reports_who_got_how_many_samples(lit, films, tmp_path):
     lit.raybatch.adaptive_sampling, lit.raybatch.noise_threshold = "ON", 0.001
     lit.raybatch.sample_count, lit.raybatch.adaptive_samples_min = 12, 4
     lit.view_layers[0].raybatch.use_pass_sample_count = True

@@ -178,7 +178,7 @@ def test_the_zip_with_kernels_is_not_too_large(zip_with_kernels):
 
 @pytest.mark.thorough  # as above
 def test_the_first_render_uses_the_shipped_kernels(zip_with_kernels, home_without, tmp_path):
-    """They are read where they are installed, a folder that nobody need write; nothing that shades is compiled, and
+    """Kernels are read where they are installed, a folder that nobody need write; nothing that shades is compiled, and
     the picture is that of a zip without any.
     """
     assert "shipped for x86-64" in installed_in(tmp_path, zip_with_kernels).stdout

@@ -292,7 +292,7 @@ def test_the_last_render_shows_geometry_beyond_memory(scene):
     assert drawn(last_render.RAYBATCH_RENDER_PT_last_render, context_of(scene))
 
 
-def test_kernels_that_others_took_over_from_are_told():
+def test_kernels_that_others_took_over_from_are_reported():
     kernels = {"tier": "GENERAL", "why": "they are ready", "specialised_after": 12.34}
     assert last_render._kernels_line(kernels) == "Kernels: general ones, and after 12.3 s specialised ones"
 

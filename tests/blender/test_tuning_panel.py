@@ -108,7 +108,7 @@ def test_settings_that_do_not_go_together_are_named_in_the_panel(scene):
     assert memory.estimate_lines(context_of(scene)) == []
 
 
-def test_a_budget_that_means_no_number_is_told_where_it_stands(scene):
+def test_a_budget_that_means_no_number_is_reported_where_it_stands(scene):
     def labels():
         return [note for note in drawn(panel("MEMORY"), context_of(scene)) if note[0] == "label"]
 

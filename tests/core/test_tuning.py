@@ -89,7 +89,7 @@ def test_devices_are_tried_and_each_has_bits_of_its_own():
     assert {each.kernel_tier for each in renders.asked if each.device == "cuda:0"} == {"AUTO"}, "nothing is compiled"
 
 
-def test_another_film_is_told_and_never_offered():
+def test_another_film_is_reported_and_never_offered():
     renders = Renders(
         lambda each: 0.1 if each.batching == "ON" else 0.5, lambda each: float(each.batching == "ON") * 1e-7
     )
@@ -98,7 +98,7 @@ def test_another_film_is_told_and_never_offered():
     assert tuning.best.changes == {}
 
 
-def test_candidates_that_cannot_be_are_told():
+def test_candidates_that_cannot_be_are_reported():
     def seconds(settings):
         if settings.batching == "OFF":
             raise RayBatchError("the tree does not fit")

@@ -258,7 +258,7 @@ def test_an_error_target_ends_a_render_at_the_same_sample(session):
     assert_same_film(*films)
 
 
-def test_snapshots_tell_how_many_samples_each_pixel_has(session, plain):
+def test_snapshots_report_how_many_samples_each_pixel_has(session, plain):
     watcher = Watcher([5, 16, 33])
     film = session.render(scenes.mixed(FRAME), ADAPTIVE, observers=[watcher])
     assert_same_film(film, plain)

@@ -210,7 +210,7 @@ def test_brightness_of_lamps():
     assert 0.005 < found[2] < 0.06 and found[3] > 0 and found[4] == 0
 
 
-def test_what_cannot_be_used_is_told():
+def test_what_cannot_be_used_is_reported():
     lamp = Light("Lampe", LightKind.POINT, scenes.translation(0, 0, 1), (1.0,) * 3, program=program())
     bad = np.full((3, 4), np.nan, np.float32)
     checked = checked_scene(scenes.scene(lights=[dataclasses.replace(lamp, object_transform=bad)]))

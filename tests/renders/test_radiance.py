@@ -89,7 +89,7 @@ def floor_seen_closely(light: Light):
 
 
 def parallel_rectangle_irradiance(radiance: float, half: float, height: float) -> float:
-    """Of a square light above its centre (configuration factor B-3 of Howell's catalogue, four corners)."""
+    """Irradiance of a square light above its centre (configuration factor B-3 of Howell's catalogue, four corners)."""
     a = half / height
     root = math.sqrt(1 + a * a)
     corner = 2 * a / root * math.atan(a / root) / (2 * math.pi)
@@ -143,7 +143,7 @@ def test_irradiance_under_a_sun(session, angle):
     """Strength is the irradiance of a surface that faces the sun; a wide sun straight above still gives all of it."""
     light = scenes.sun(2.5, angle)
     mean, error = mean_and_error(session, floor_seen_closely(light))
-    # Of the disk of directions whose projected area the strength is spread over, the floor at its centre sees all
+    # The floor at its centre sees all of the disk of directions whose projected area the strength is spread over
     half = angle / 2
     expected = 2.5 if angle == 0 else None
     if expected is None:

@@ -77,7 +77,7 @@ def test_snapshots_are_the_films_of_fewer_samples_and_change_nothing(session, pl
     assert last.picture.dtype == np.float32 and last.picture.shape == (20, 24, 3)
 
 
-def test_what_a_snapshot_tells(session):
+def test_what_a_snapshot_reports(session):
     one, other = Watcher([2, 1]), Watcher([2, 3])
     calls = []
     nobody = type(
@@ -294,7 +294,7 @@ def test_an_error_target_ends_the_render_at_the_same_sample_whatever_the_schedul
         session.render(scenes.mixed(FRAME), target, resume=one)
 
 
-def test_a_black_picture_that_meets_the_target_is_told(session):
+def test_a_black_picture_that_meets_the_target_is_reported(session):
     """Nothing was found, so halves agree: of what is there they say nothing."""
     frame = dataclasses.replace(FRAME, passes=("Combined",))
     for world, warned in ((0.0, 1), (0.5, 0)):
@@ -332,7 +332,7 @@ def test_a_time_limit_ends_the_render_between_rounds(session, estimate):
     assert_same(film.passes, same.passes)
 
 
-def test_progress_tells_the_samples_that_there_are(session):
+def test_progress_reports_the_samples_that_there_are(session):
     """Not the share of a time limit, and with those from before a resume."""
     limited, reported = SETTINGS.replace(sample_count=10_000_000, time_limit=0.3), []
     film = session.render(scenes.mixed(FRAME), limited, on_progress=reported.append)

@@ -91,7 +91,7 @@ def test_a_time_limit_holds_for_a_round_that_was_begun_without(session, estimate
     assert_same(film.passes, session.render(scenes.mixed(FRAME), endless.replace(sample_count=samples)).passes)
 
 
-def test_a_round_that_a_time_limit_cannot_end_is_told(session):
+def test_a_round_that_a_time_limit_cannot_end_is_reported(session):
     with stopping(5):
         film = session.render(scenes.mixed(FRAME), SETTINGS.replace(sample_order="PIXEL_FIRST", ray_count=100))
     film = session.render(scenes.mixed(FRAME), SETTINGS.replace(time_limit=1e-3), resume=film)

@@ -87,7 +87,7 @@ def test_the_smallest_blocks_and_fewest(comparer, change, selection, storage):
 
 @pytest.mark.parametrize("selection", SELECTIONS)
 def test_one_bucket(comparer, selection):
-    """As many nodes as the tree has make it one treelet for each mesh tree."""
+    """A `treelet_size` of as many nodes as the tree has makes one treelet of each mesh tree."""
     many = comparer.compare({**CHECKED, "treelet_size": 1, "bucket_selection": selection})
     found = comparer.compare({**CHECKED, "treelet_size": 10**6, "bucket_selection": selection})
     assert not many.differs and not found.differs
@@ -245,7 +245,7 @@ def test_stopped_in_the_middle_of_a_tile_and_resumed(session, comparer, way):
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_rays_that_are_given_up_are_told_and_the_next_render_is_whole(session, comparer, way):
+def test_rays_that_are_given_up_are_reported_and_the_next_render_is_whole(session, comparer, way):
     """Where rays take too long to come to their end they are left; the film cannot be resumed then, and says so."""
     slow = ESTIMATOR.replace(tile_size=16, thread_count=1, ray_count=30, **settings_of(way))
     with pytest.MonkeyPatch.context() as patch:

@@ -177,7 +177,7 @@ def test_the_script_finds_nothing_where_all_is_well(saved, device, capfd):
     assert "closed.scene.npz: the plain film" in reported
 
 
-def test_the_script_tells_what_differs(saved, device, capfd, monkeypatch):
+def test_the_script_reports_what_differs(saved, device, capfd, monkeypatch):
     """A film that is wrong in its last bit alone, and a render that fails."""
     render = Session.render
 

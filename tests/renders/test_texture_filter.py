@@ -65,7 +65,7 @@ def filtered(session):
     return session.render(room(), FILTERED)
 
 
-def test_statistics_tell_levels_and_look_ups(session, filtered):
+def test_statistics_report_levels_and_look_ups(session, filtered):
     reported = filtered.statistics["images"]
     assert (reported["filtered_look_ups"], reported["other_look_ups"]) == (1, 0)
     assert reported["level_bytes"] == sum(4**k for k in range(6))

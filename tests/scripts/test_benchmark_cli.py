@@ -57,7 +57,7 @@ def judge(bowl_scene) -> Judge:
 
 
 def distance_to_surface(points: np.ndarray) -> np.ndarray:
-    """Of `points` to the sphere that the bowl is cut from, where its facets are [m]."""
+    """Distance of `points` to the sphere that the bowl is cut from, where its facets are [m]."""
     return 1 - np.linalg.norm(points, axis=1)
 
 
@@ -234,7 +234,7 @@ def test_every_tracer_finds_the_hits_of_a_small_scene(geometry, tracer, capfd):
             assert result["faults"] == 0
 
 
-def test_whole_scenes_and_grids_are_measured_and_told_in_words(geometry, tmp_path, capfd):
+def test_whole_scenes_and_grids_are_measured_and_reported_in_words(geometry, tmp_path, capfd):
     archive = tmp_path / "mixed.scene.npz"
     save_scene(archive, scenes.mixed(scenes.Frame(16, 12)), RenderSettings())
     options = [*SMALL, "--tracers", "reference,off", "--orders", "natural", "--no-counters"]

@@ -26,7 +26,7 @@ def geometry(tmp_path_factory) -> Path:
     return save_bowl(tmp_path_factory.mktemp("geometry"))
 
 
-def test_whole_renders_are_told_in_words_or_as_json(tmp_path, capfd):
+def test_whole_renders_are_reported_in_words_or_as_json(tmp_path, capfd):
     archive, picture = tmp_path / "mixed.scene.npz", tmp_path / "a.png"
     save_scene(archive, scenes.mixed(scenes.Frame(16, 12)), RenderSettings())
     options = [
@@ -94,7 +94,7 @@ def test_what_recording_costs(tmp_path, capfd):
     assert_one_error(capfd, "must be 2 or more")
 
 
-def test_a_film_that_recording_changed_is_told(tmp_path, monkeypatch, capfd):
+def test_a_film_that_recording_changed_is_reported(tmp_path, monkeypatch, capfd):
     monkeypatch.setattr(
         recording, "_compared", lambda films: {"compared": 4, "equal": False, "differences": ["recorded, with a flaw"]}
     )
@@ -145,7 +145,7 @@ def test_a_budget_of_geometry_is_measured_beside_memory(geometry, capfd):
     assert report["memory"]["stages"]["copy"] == 0 < report["budgets"][0]["stages"]["copy"]
 
 
-def test_a_budget_is_told_in_words_and_without_counters(geometry, tmp_path, capfd):
+def test_a_budget_is_reported_in_words_and_without_counters(geometry, tmp_path, capfd):
     picture = tmp_path / "a.png"
     options = [
         "render",
@@ -322,7 +322,7 @@ def test_error_falls_as_samples_rise():
     assert found["mean_ratio"] == pytest.approx(1, abs=1e-3)
 
 
-def test_what_a_render_takes_once_is_told_from_what_a_sample_takes():
+def test_what_a_render_takes_once_is_separated_from_what_a_sample_takes():
     timed = Timed([2.5, 2.7, 2.6], [3.5, 3.6, 3.7])
     reported = timed.report((10, 20))
     assert reported["ms_a_sample"] == 100 and (reported["ms_a_sample_least"], reported["ms_a_sample_most"]) == (90, 110)

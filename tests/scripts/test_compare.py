@@ -46,7 +46,7 @@ state = {"doing": "open", "steps": [{"name": "open", "seconds": 0.1}], "error": 
         ("pass", DONE, ""),
     ],
 )
-def test_what_becomes_of_a_process_is_told_and_its_steps_are_kept(tmp_path, end, status, part):
+def test_what_becomes_of_a_process_is_reported_and_its_steps_are_kept(tmp_path, end, status, part):
     script = tmp_path / "stub.py"
     script.write_text(f"{STUB}\nprint('going down', flush=True)\n{end}\n")
     outcome = run_process(script, {"engine": "CYCLES", "kind": PICTURES}, 2.0, None)
@@ -238,12 +238,12 @@ def test_the_page_stands_alone_and_shows_pictures(rendered, blends, tmp_path):
     assert page.count("data:image/png;base64,") == 2 and "volume “fog” is left out" in page and "equal error" in page
 
 
-def test_what_is_alike_but_for_names_is_told_once():
+def test_what_is_alike_but_for_names_is_reported_once():
     texts = [f"material “m{i}” of “a”, “b” and {i} more: Filter Width (0.1 pixels instead)" for i in range(2, 5)]
     assert alike([*texts, "image “x” is magenta"]) == [f"{texts[0]} (2 more like it)", "image “x” is magenta"]
 
 
-def test_results_do_not_tell_where_files_lie(blends, tmp_path, monkeypatch):
+def test_results_do_not_reveal_where_files_lie(blends, tmp_path, monkeypatch):
     places = Outcome(FAILED, {"missing": [f"{tmp_path}/textures/wood.png"]}, f"{blends[0]} is bad")
     monkeypatch.setattr(comparison, "run_process", lambda *_: places)
     main([blends[0], "--out", str(tmp_path / "out")])
@@ -312,7 +312,7 @@ def test_a_listed_file_that_is_missing_or_of_another_version_says_where_to_get_i
     assert "is another version than the list means" in file.complaint()
 
 
-def test_files_of_one_name_are_told_apart(tmp_path):
+def test_files_of_one_name_are_distinguished(tmp_path):
     names = [each.name for each in files_named(["x/room.blend", "y/room.blend", "hall.blend", "x/room.blend"])]
     assert names == ["x/room.blend", "y/room.blend", "hall.blend"]
 

@@ -330,7 +330,7 @@ def test_passes_that_are_asked_for(sheet, tmp_path, capfd):
     assert f"saved {steps} (Node Steps, 0 to {values.max():.4g})" in capfd.readouterr().err
     pixels, largest = heat_pixels(values)
     assert largest == values.max() > 0 and (np.array(Image.open(steps)) == pixels).all()
-    # of Warp's tree nothing is known, and that is said
+    # nothing is known of Warp's tree, and that is said
     assert (
         render.main(
             [str(sheet), "--passes", "node steps", "--film", str(film), "--set", "batching=REFERENCE", CAMERA, *SMALL]

@@ -68,7 +68,7 @@ def test_json_alone_on_standard_output():
     ]
 
 
-def test_a_case_that_fails_is_told_and_is_the_exit_code(tmp_path):
+def test_a_case_that_fails_is_reported_and_is_the_exit_code(tmp_path):
     """One case's bound is made impossible, another raises; both are in the report."""
     before = HIDE_BPY + (
         f"\nimport sys; sys.path.insert(0, {str(ROOT)!r})\n"

@@ -33,7 +33,7 @@ def test_ticks_are_plain_numbers_that_do_not_touch():
         assert all(b - a >= room - 1e-6 for a, b in itertools.pairwise(places))
 
 
-def test_more_rays_than_the_tiles_have_are_told():
+def test_more_rays_than_the_tiles_have_are_reported():
     def report(*alive):
         rows = [
             {"table": "ray_count", "ray_count": 2**n, "rays_alive": each}
@@ -349,7 +349,7 @@ def test_numbers_are_written_to_be_read():
         (["budgets", "--gather", "/nowhere/rows.jsonl"], "cannot be read"),
     ],
 )
-def test_bad_input_is_told_in_one_line(tmp_path, arguments, words):
+def test_bad_input_is_reported_in_one_line(tmp_path, arguments, words):
     assert words in error_line(call_script("study.py", *arguments, "--out", tmp_path / "new"))
     assert not (tmp_path / "new").exists()
 

@@ -51,7 +51,7 @@ def assert_same(passes, expected):
 
 
 def rounded_anew(film: Film) -> dict[str, np.ndarray]:
-    """Its passes, made of the sums on the host."""
+    """The film's passes, made of the sums on the host."""
     return film.merge(Film.empty(FRAME)).passes
 
 

@@ -1,4 +1,4 @@
-"""What the engine passes on of Blender's calls about the 3D view; the core is brought in behind it, not waited for."""
+"""Blender's calls about the 3D view, passed on by the engine; the core is imported behind them, not waited for."""
 
 from __future__ import annotations
 

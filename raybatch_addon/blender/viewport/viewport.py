@@ -39,7 +39,7 @@ _open: weakref.WeakSet[Viewport] = weakref.WeakSet()
 
 
 class Viewport:
-    """What one render engine of Blender's shows in one region of the 3D view."""
+    """The picture that one render engine of Blender's shows in one region of the 3D view."""
 
     def __init__(self, redraw: Callable[[], None], source: SessionSource | None = None) -> None:
         """`redraw` asks Blender for a `draw`; it is called on any thread."""

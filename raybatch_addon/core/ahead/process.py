@@ -86,7 +86,7 @@ class CompileProcess:
         return self._last_line
 
     def wait(self) -> None:
-        """Until it has ended."""
+        """Wait until the process has ended."""
         self._process.wait()
 
     def stop(self) -> None:

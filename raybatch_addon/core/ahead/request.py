@@ -1,4 +1,4 @@
-"""What is to be compiled, as it is sent to another process."""
+"""The list of kernels to be compiled, as it is sent to another process."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class GeneralRequest:
     """The kernels that any scene can begin with: the general tier, trees, and tracing without queues."""
 
     def kernels(self, device: wp.Device) -> list[wp.Kernel]:
-        """All of them."""
+        """All kernels that any scene can begin with."""
         found = [*general_kernels(device), *tree_kernels(device), add_integers_kernel]
         if device.is_cpu:
             # those of boxes refit trees for the frame behind the first one

@@ -26,7 +26,7 @@ VERTICES_MAX = 2**31 - 1
 # [bytes]
 ROW = 12  # a triangle's indices, or a position
 NORMALS = 36  # of the corners of a triangle
-# Of nodes and triangles, for each triangle: from above, so that a budget holds them; and of full groups and leaves
+# Nodes and triangles, for each triangle: from above, so that a budget holds them; and with full groups and leaves
 TREE_BYTES_MOST = {Layout.BOXES: 90, Layout.QUANTISED: 64}
 TREE_BYTES = {Layout.BOXES: 45, Layout.QUANTISED: 55}
 COPY_BYTES = {Layout.BOXES: 40, Layout.QUANTISED: 48}  # of a triangle in a block
@@ -74,7 +74,7 @@ class GeometrySize:
         )
 
     def step_bytes(self, layout: Layout) -> int:
-        """Of `copies`, in blocks that are full [bytes]."""
+        """Memory of `copies`, in blocks that are full [bytes]."""
         return COPY_BYTES[layout] * self.copies
 
     def tree_bytes_most(self, layout: Layout) -> int:

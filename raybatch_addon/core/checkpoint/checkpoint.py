@@ -138,7 +138,7 @@ class Checkpoint:
         self._next_at = time.perf_counter() + self.interval
 
     def is_due(self) -> bool:
-        """As `StateKeeper.is_due`."""
+        """See `StateKeeper.is_due`."""
         now = time.perf_counter()
         if now < self._next_at or (self._writing and self._writing.is_alive()):
             return False
@@ -146,7 +146,7 @@ class Checkpoint:
         return True
 
     def keep(self, state: ResumeState) -> None:
-        """As `StateKeeper.keep`."""
+        """See `StateKeeper.keep`."""
         begun = time.perf_counter()
         self.wait()
         copy = _Copy(KeptProgress.of(state), _samples(state), _mark(state))
@@ -198,9 +198,9 @@ class Checkpoint:
 
     def _write(self, copy: _Copy, begun: float, stopped: float) -> None:
         """On the thread that writes."""
-        place, written_from = self._identity.place, time.perf_counter()
+        part, written_from = self._identity.part, time.perf_counter()
         try:
-            arrays = (samples_as_arrays(place, tiles) for tiles in copy.halves)
+            arrays = (samples_as_arrays(part, tiles) for tiles in copy.halves)
             self._bytes = write_kept(self.path, self._identity, copy.progress, arrays)
             self._count += 1
             self._mark = copy.mark

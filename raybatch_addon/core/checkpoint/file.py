@@ -29,7 +29,7 @@ from .samples import samples_of_arrays
 FORMAT = "raybatch-checkpoint"
 VERSION = 1
 _HEADER = "header.json"
-# Of zlib: sums are numbers that look random beside zeros, and higher levels find little more in them
+# Level of zlib: sums are numbers that look random beside zeros, and higher levels find little more in them
 _COMPRESSION = 1
 # What reading a file of another kind, or a damaged one, may raise
 _DAMAGE = (
@@ -54,14 +54,14 @@ class CheckpointError(RayBatchError):
 
 @dataclass(frozen=True)
 class KeptFilm:
-    """What a checkpoint holds."""
+    """The content of a checkpoint."""
 
     identity: FilmIdentity
     progress: KeptProgress
     halves: tuple[HostSamples, ...]  # one, or those of both halves
 
     def film(self) -> Film:
-        """Its passes and sums."""
+        """The film, made of its passes and sums."""
         film = Film.empty(self.identity.frame, len(self.halves))
         for half, samples in zip(film.halves or (film,), self.halves, strict=True):
             half.samples = samples
@@ -106,12 +106,12 @@ def load_kept(path: Path) -> KeptFilm:
             identity = FilmIdentity.of_record(header["film"])
             names = [name for name in archive.namelist() if name != _HEADER]
             arrays = {name.removesuffix(".npy"): _read_array(archive, name) for name in names}
-        progress = KeptProgress.of_record(header["progress"], arrays, identity.place)
+        progress = KeptProgress.of_record(header["progress"], arrays, identity.part)
         halves = []
         for number in range(progress.half_count):
             start = f"{number}/"
             own = {name.removeprefix(start): values for name, values in arrays.items() if name.startswith(start)}
-            halves.append(samples_of_arrays(identity.place, own))
+            halves.append(samples_of_arrays(identity.part, own))
     except FileNotFoundError:
         raise CheckpointError(f"there is no file {path}") from None
     except OSError as error:

@@ -1,4 +1,4 @@
-"""What a film is a film of: scene, settings, frame, device and versions, by which another render may go on with it."""
+"""The identity of a film: scene, settings, frame, device and versions, by which another render may go on with it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..scene.description import Frame, Scene
 from ..scene.passes import matte_kinds
 from ..settings.settings import RenderSettings
 from ..wavefront.render.resume import estimator_settings
-from .samples import Place
+from .samples import FilmPart
 
 # Whose code makes the film's bits
 _VERSIONS = ("raybatch", "warp")
@@ -24,7 +24,9 @@ _VERSIONS = ("raybatch", "warp")
 
 @dataclass(frozen=True, kw_only=True)
 class FilmIdentity:
-    """What must be the same where a film is gone on with, or merged with another. All of it can be written as JSON."""
+    """Values that must be the same where a film is gone on with, or merged with another. All of them can be written as
+    JSON.
+    """
 
     versions: dict[str, str]
     device: str  # of one kind and model alone the bits are the same
@@ -38,7 +40,7 @@ class FilmIdentity:
 
     @staticmethod
     def of(scene: Scene, settings: RenderSettings, device: wp.Device) -> FilmIdentity:
-        """Of a render that is asked for."""
+        """The identity of the film of a render that is asked for."""
         frame, record = scene.frame, versions()
         return FilmIdentity(
             versions={name: record[name] for name in _VERSIONS},
@@ -63,13 +65,13 @@ class FilmIdentity:
         return found
 
     def record(self) -> dict[str, Any]:
-        """As JSON has it."""
+        """The values as JSON has them."""
         return dataclasses.asdict(self)
 
     @property
-    def place(self) -> Place:
+    def part(self) -> FilmPart:
         """Whose samples the film has."""
-        return Place(self.region, self.passes, layout_of(self.passes, self.transparent))
+        return FilmPart(self.region, self.passes, layout_of(self.passes, self.transparent))
 
     @property
     def frame(self) -> Frame:

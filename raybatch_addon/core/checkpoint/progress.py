@@ -13,7 +13,7 @@ from ..wavefront.render.resume import ResumeState, estimator_settings
 from ..wavefront.render.rounds import RoundPolicy
 from ..wavefront.scheduler import Rectangle
 from ..wavefront.tile_state import TileState
-from .samples import Place
+from .samples import FilmPart
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +52,7 @@ class KeptProgress:
 
     @property
     def half_count(self) -> int:
-        """In how many films the samples come."""
+        """The number of films in which the samples come: one, or two halves."""
         return len(self.items_begun[0])
 
     @property
@@ -61,24 +61,24 @@ class KeptProgress:
         return self.end is None or not any(map(any, self.items_begun))
 
     def record(self) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-        """As JSON has it, and arrays by name."""
+        """The values as JSON has them, and arrays by name."""
         header = {name: value for name, value in vars(self).items() if name != "stopped"}
         return header, {} if self.stopped is None else {"stopped": self.stopped}
 
     @staticmethod
-    def of_record(header: dict[str, Any], arrays: dict[str, np.ndarray], place: Place) -> KeptProgress:
+    def of_record(header: dict[str, Any], arrays: dict[str, np.ndarray], part: FilmPart) -> KeptProgress:
         """The inverse of `record`; raises `ValueError`, `TypeError` or `KeyError` for what is none."""
         tiles = tuple(tuple(map(int, tile)) for tile in header["tiles"])
         begun = tuple(tuple(map(int, halves)) for halves in header["items_begun"])
-        covered = np.zeros(place.pixel_count, np.int64)
-        if sum(width * height for _, _, width, height in tiles) == place.pixel_count:
+        covered = np.zeros(part.pixel_count, np.int64)
+        if sum(width * height for _, _, width, height in tiles) == part.pixel_count:
             for tile in tiles:
-                covered[place.pixels(*tile)] = 1
+                covered[part.pixels(*tile)] = 1
         if not covered.all() or len(begun) != len(tiles) or len({len(halves) for halves in begun}) != 1:
             raise ValueError("its tiles are not those of its frame")
         if len(begun[0]) not in (1, 2) or header["sample_order"] not in ("FRAME_FIRST", "PIXEL_FIRST"):
             raise ValueError("its rounds are none")
-        stopped, (x0, y0, x1, y1) = arrays.get("stopped"), place.region
+        stopped, (x0, y0, x1, y1) = arrays.get("stopped"), part.region
         if stopped is not None and (stopped.dtype != np.int32 or stopped.shape != (y1 - y0, x1 - x0)):
             raise ValueError("its pixels with adaptive sampling are not those of its frame")
         end = header["end"]

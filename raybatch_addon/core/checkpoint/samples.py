@@ -23,8 +23,8 @@ _MATTES = {"cell": np.int64, "identity": np.uint32, "weight": np.int64}
 
 
 @dataclass(frozen=True)
-class Place:
-    """Whose samples they are."""
+class FilmPart:
+    """The part of a film that samples are of: its region and passes."""
 
     region: tuple[int, int, int, int]  # x0, y0, x1, y1 [pixels]
     pass_names: tuple[str, ...]
@@ -51,20 +51,20 @@ class TileSamples:
     samples: HostSamples
 
 
-def samples_as_arrays(place: Place, tiles: Sequence[TileSamples]) -> dict[str, np.ndarray]:
+def samples_as_arrays(part: FilmPart, tiles: Sequence[TileSamples]) -> dict[str, np.ndarray]:
     """Arrays by name of the samples of all `tiles`; pixels that have none are left out, but for their count of 0."""
-    channels, kinds = place.layout.count, len(matte_kinds(place.pass_names))
-    counts = np.zeros(place.pixel_count, np.int64)
+    channels, kinds = part.layout.count, len(matte_kinds(part.pass_names))
+    counts = np.zeros(part.pixel_count, np.int64)
     for tile in tiles:
-        counts[place.pixels(*tile.rectangle)] = tile.samples.counts
+        counts[part.pixels(*tile.rectangle)] = tile.samples.counts
     number = np.cumsum(counts > 0) - 1  # of each pixel that has samples
     sampled = int(np.count_nonzero(counts))
     window = np.zeros((WINDOW_WORDS, sampled, channels), np.uint32)
-    first = {name: np.zeros((sampled, channels_of(name)), np.float32) for name in _named(place, FIRST_SAMPLE_PASSES)}
-    cost = {name: np.zeros(sampled, np.int64) for name in _named(place, COST_PASSES)}
+    first = {name: np.zeros((sampled, channels_of(name)), np.float32) for name in _named(part, FIRST_SAMPLE_PASSES)}
+    cost = {name: np.zeros(sampled, np.int64) for name in _named(part, COST_PASSES)}
     wide_cells, wide, mattes = [np.zeros(0, np.int64)], [np.zeros((WIDE_WORDS, 0), np.uint32)], [Mattes()]
     for tile in tiles:
-        samples, pixels = tile.samples, place.pixels(*tile.rectangle)
+        samples, pixels = tile.samples, part.pixels(*tile.rectangle)
         has = samples.counts > 0
         to = number[pixels[has]]
         window[:, to] = _words(samples.sums.window).reshape(WINDOW_WORDS, -1, channels)[:, has]
@@ -90,9 +90,9 @@ def samples_as_arrays(place: Place, tiles: Sequence[TileSamples]) -> dict[str, n
     }
 
 
-def samples_of_arrays(place: Place, arrays: dict[str, np.ndarray]) -> HostSamples:
+def samples_of_arrays(part: FilmPart, arrays: dict[str, np.ndarray]) -> HostSamples:
     """The inverse of `samples_as_arrays`; raises `ValueError`, `KeyError` or `IndexError` for other arrays."""
-    pixels, channels = place.pixel_count, place.layout.count
+    pixels, channels = part.pixel_count, part.layout.count
 
     def array(name: str, dtype: type, *shape: int) -> np.ndarray:
         found = arrays[name]
@@ -104,7 +104,7 @@ def samples_of_arrays(place: Place, arrays: dict[str, np.ndarray]) -> HostSample
     there = np.flatnonzero(counts)
 
     def spread(values: np.ndarray, width: int) -> np.ndarray:
-        """Of all pixels, what is there of those that have samples: `width` values each."""
+        """`values` of the pixels that have samples, `width` each, spread over all pixels; 0 elsewhere."""
         if len(there) == pixels:
             return values
         whole = np.zeros((*values.shape[:-1], pixels, width), values.dtype)
@@ -125,9 +125,9 @@ def samples_of_arrays(place: Place, arrays: dict[str, np.ndarray]) -> HostSample
         counts,
         {
             name: spread(array(f"first/{name}", np.float32, len(there) * channels_of(name)), channels_of(name))
-            for name in _named(place, FIRST_SAMPLE_PASSES)
+            for name in _named(part, FIRST_SAMPLE_PASSES)
         },
-        {name: spread(array(f"cost/{name}", np.int64, len(there)), 1) for name in _named(place, COST_PASSES)},
+        {name: spread(array(f"cost/{name}", np.int64, len(there)), 1) for name in _named(part, COST_PASSES)},
         Mattes(*mattes),
     )
 
@@ -137,8 +137,8 @@ def _pairs(found: np.ndarray, shape: Sequence[int]) -> Iterable[tuple[int, int]]
     return zip(shape, found.shape)
 
 
-def _named(place: Place, names: Sequence[str]) -> list[str]:
-    return [name for name in place.pass_names if name in names]
+def _named(part: FilmPart, names: Sequence[str]) -> list[str]:
+    return [name for name in part.pass_names if name in names]
 
 
 def _words(digits: np.ndarray) -> np.ndarray:

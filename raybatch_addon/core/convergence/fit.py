@@ -1,4 +1,4 @@
-"""What a curve of errors says: its slope, whether it flattens, when it reaches a target, and what an error costs.
+"""Findings from a curve of errors: its slope, whether it flattens, when it reaches a target, and what an error costs.
 
 **Model.** The squared error of an unbiased estimator with independent samples falls as 1 / n, whatever the scene, so
 that RMSE has slope -0.5 in log(RMSE) against log(n); low-discrepancy samples are steeper. A bias b adds b^2, which

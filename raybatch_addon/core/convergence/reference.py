@@ -33,7 +33,9 @@ NOT_SHOWN = {"name", "object_names", "warnings", "passes", "kinds", "corner_uvs"
 
 @dataclass(frozen=True)
 class Reference:
-    """What a picture should be. Raises `RayBatchError` where it is no picture, or has values that are not finite."""
+    """The picture that a render should come to. Raises `RayBatchError` where it is no picture, or has values that are
+    not finite.
+    """
 
     picture: np.ndarray  # linear RGB, float64, shape [height, width, 3], bottom row first
     # of each value of `picture`, float64, the same shape; 0 for a closed form; None: not known

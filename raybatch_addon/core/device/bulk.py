@@ -24,9 +24,9 @@ _HOST_TYPES = {int: (np.int32, ()), float: (np.float32, ()), wp.vec3: (np.float3
 
 
 def large_empty(count: int, dtype: Any, device: wp.Device, zeros: bool = False) -> wp.array:
-    """As `wp.empty` (or `wp.zeros`) for int, float, vec3 and structs. On a CPU its memory is NumPy's, who asks the
-    system for large pages: to touch hundreds of megabytes of small ones for the first time takes longer than to fill
-    them.
+    """An array like that of `wp.empty` (or `wp.zeros`) for int, float, vec3 and structs. On a CPU its memory is
+    NumPy's, who asks the system for large pages: to touch hundreds of megabytes of small ones for the first time takes
+    longer than to fill them.
     """
     if not device.is_cpu:
         return wp.zeros(count, dtype=dtype, device=device) if zeros else wp.empty(count, dtype=dtype, device=device)

@@ -55,7 +55,7 @@ def by_reference(source: str, taken: dict[str, str]) -> str:
 
 
 def _written(source: str, names: set[str]) -> set[str]:
-    """Those of `names` whose members a line of `source` writes to, by name or by a pointer."""
+    """The `names` whose members a line of `source` writes to, by name or by a pointer."""
     of = {name: name for name in names}  # pointer -> the name whose members it points into
     written = set()
     for line in source.splitlines():

@@ -1,4 +1,4 @@
-"""What a compiler complains of, said of the feature whose code it is; all that it wrote goes to a file."""
+"""Errors of compilers, reported for the feature whose code they are about; all that a compiler wrote goes to a file."""
 
 from __future__ import annotations
 

@@ -186,7 +186,7 @@ def _note_kernel(self: wp.Kernel, func: Any, key: Any = None, module: Any = None
 
 
 class _Signature:
-    """What a launch wants to know of a kernel's code. All else is that of the kernel when it is declared."""
+    """The part of a kernel's code that a launch asks for. All else is that of the kernel when it is declared."""
 
     def __init__(self, kernel: _Kernel, arg_types: dict[str, Any], dimension: int):
         self._kernel = kernel
@@ -231,7 +231,7 @@ class _Module(wp.Module):
 
     @property
     def name(self) -> str:
-        """As Warp names modules of one kernel."""
+        """The module's name, as Warp names modules of one kernel."""
         if self._name is None:
             with _codegen._codegen_lock:
                 known = self._known()
@@ -250,7 +250,7 @@ class _Module(wp.Module):
         self.mark_modified()
 
     def register_kernel(self, kernel: wp.Kernel) -> None:
-        """As Warp does, also for kernels that never waited."""
+        """Register a kernel as Warp does, also one that never waited."""
         if kernel not in self.all_kernels:
             self.all_kernels.append(kernel)
         super().register_kernel(kernel)
@@ -315,7 +315,7 @@ class _Module(wp.Module):
         self.mark_modified()
 
     def get_module_hash(self, block_dim: int | None = None) -> bytes:
-        """As Warp does, by what is known where it is."""
+        """The module's hash as Warp has it, by what is known where it is."""
         size = self.options["block_dim"] if block_dim is None else block_dim
         with _codegen._codegen_lock:
             if size in self.hashers and not self.has_unresolved_static_expressions:

@@ -1,4 +1,4 @@
-"""What code a kernel is made of, without reading its source: two kernels of one identity have the same code.
+"""The identity of a kernel's code, found without reading its source: two kernels of one identity have the same code.
 
 Warp distinguishes kernels by their source, which takes it milliseconds a function. Here the files of the core are taken
 together by a digest of all they hold. Within these files a function is known by its place and its bytecode, and by what

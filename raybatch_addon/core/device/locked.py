@@ -21,7 +21,7 @@ import warp as wp
 
 from .bulk import in_slices
 
-# Of the driver: memory is locked for all contexts, and mapped
+# Flags of the driver: memory is locked for all contexts, and mapped
 _REGISTER_FLAGS = 1 | 2
 _CAN_USE_HOST_POINTER = 91  # CU_DEVICE_ATTRIBUTE_CAN_USE_HOST_POINTER_FOR_REGISTERED_MEM
 _CALLS = (

@@ -1,4 +1,4 @@
-"""What a user should know of compiled kernels, kept for the next render's report."""
+"""Notes about compiled kernels for the user, kept for the next render's report."""
 
 from __future__ import annotations
 

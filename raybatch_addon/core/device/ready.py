@@ -1,4 +1,4 @@
-"""What is known of modules of kernels by their identity, so that nobody has to hash their code again.
+"""Hashes of modules of kernels, kept by their identity, so that nobody has to hash their code again.
 
 It is kept beside the compiled kernels, in a file for each state of the sources, and shipped with those that are. It is
 only ever a shorter way to a hash: where it is damaged, lacks a module or names one that is not there, the code is
@@ -31,7 +31,7 @@ _new: dict[str, dict[str, Any]] = {}  # not written yet
 
 @dataclass
 class KnownModule:
-    """What hashing found of a module."""
+    """The result of hashing a module."""
 
     name: str
     # by block size: of it, and of its kernels by their identities

@@ -1,4 +1,4 @@
-"""What films show of shadow catchers, as Cycles does (`film_calculate_shadow_catcher` in `kernel/film/read.h`).
+"""Shadow catchers in films, shown as by Cycles (`film_calculate_shadow_catcher` in `kernel/film/read.h`).
 
 A path that meets a catcher before it scatters brings light L to the picture; its copy, for which there are catchers
 alone, brings A. So L / A of a pixel is how much darker, or brighter, catchers are by what else is there: the pass

@@ -40,7 +40,7 @@ class Film:
     # The pictures, while every pixel has the samples of one tile alone; None: they are made of the sums
     picture: dict[str, np.ndarray] | None = field(default=None, repr=False)
     # Films of either half of the samples, with seeds of their own, whose exact sum this is; None: all samples are here.
-    # Of the passes that the first sample decides the second half has none
+    # The second half has none of the passes that the first sample decides
     halves: tuple[Film, Film] | None = field(default=None, repr=False)
     # What was made of the passes when all was there, by name: a denoised picture, and the noisy one
     made: dict[str, np.ndarray] = field(default_factory=dict, repr=False)

@@ -1,4 +1,4 @@
-"""What a live render was asked for, and the pictures that it shows."""
+"""The request of a live render, and the pictures that it shows."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ class SessionSource(Protocol):
 
 @dataclass(frozen=True)
 class LiveState:
-    """What a live render does."""
+    """The state of a live render: what it does now, and how far it is."""
 
     stage: str = ""  # in words; empty: nothing
     error: str = ""  # why there is no picture of the newest request

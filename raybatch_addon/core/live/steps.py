@@ -18,13 +18,13 @@ SHOWN_SECONDS = 0.5
 
 
 class Pace:
-    """What a sample of a pixel takes, measured."""
+    """The time that a sample of a pixel takes, measured."""
 
     def __init__(self) -> None:
         self._seconds_a_pixel: float | None = None
 
     def note(self, pixel_samples: float, seconds: float) -> None:
-        """So many samples of pixels, over all pixels, took `seconds` without a build."""
+        """Take note that `pixel_samples` samples, summed over all pixels, took `seconds` without a build."""
         if pixel_samples > 0:
             self._seconds_a_pixel = max(seconds - FIXED_SECONDS, 0.0) / pixel_samples
 

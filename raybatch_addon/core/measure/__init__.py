@@ -1,1 +1,1 @@
-"""What a render cost: counters, times, memory, and the statistics made of them."""
+"""The cost of a render: counters, times, memory, and the statistics made of them."""

@@ -1,4 +1,4 @@
-"""What batching did: counted by tracers that let rays wait, reported in the statistics of a render."""
+"""Counts of batching: taken by tracers that let rays wait, reported in the statistics of a render."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ _CUDA_COPIES = 256
 
 @dataclass(frozen=True)
 class CounterFeatures:
-    """What the counters of a render are made for."""
+    """Features that the counters of a render are made for."""
 
     steps: bool  # the tracer counts what each ray did; otherwise rays alone are counted
     cost_passes: tuple[str, ...]  # of `COST_PASSES`
@@ -84,7 +84,7 @@ def _stay(names: list[str]) -> str:
 
 @wp.struct
 class CounterSums:
-    """What was counted of each ray, and sums over all rays so far."""
+    """Counts of each ray, and sums over all rays so far."""
 
     node_steps: wp.array(dtype=int)  # by ray slot, those of its last trace; and so the next
     box_tests: wp.array(dtype=int)
@@ -156,7 +156,7 @@ def _row(passes: tuple[str, ...], name: str) -> int:
 
 @dataclass(frozen=True)
 class TreeBytes:
-    """What a visit reads, of the layout that is traced [bytes]."""
+    """Bytes that a visit reads, of the layout that is traced."""
 
     node: int
     triangle: int  # of one triangle test

@@ -1,4 +1,4 @@
-"""What a render will take of its device's memory, estimated from counts alone."""
+"""The memory of its device that a render will take, estimated from counts alone."""
 
 from __future__ import annotations
 

@@ -85,7 +85,7 @@ class ClosureKind(IntEnum):
     ANISOTROPIC = 33  # `aspect` other than 1
     THIN_FILM = 35  # `film_thickness`
     OWN_NORMAL = 34  # `normal`
-    # Of volumes (`Volume`), beside EMISSION: weights are coefficients [1/m]
+    # Closures of volumes (`Volume`), beside EMISSION: weights are coefficients [1/m]
     VOLUME_ABSORPTION = 48
     HENYEY_GREENSTEIN = 49  # scattering of mean cosine `mean_cosine`
     FOURNIER_FORAND = 50  # scattering by particles in water: `ior`, and `roughness`, the share that goes back
@@ -215,7 +215,7 @@ class Closure:
 
 @dataclass(frozen=True)
 class Volume:
-    """What fills closed surfaces, or the world: a sum of closures of the kinds of volumes and of EMISSION.
+    """A medium that fills closed surfaces, or the world: a sum of closures of the kinds of volumes and of EMISSION.
 
     Weights are coefficients: of scattering and absorption [1/m], of emission [W/(m³ sr)]. What fills a surface adds to
     what is around it.

@@ -99,7 +99,7 @@ class SceneFeatures:
 
     @property
     def motion(self) -> bool:
-        """Whether it matters when a path is."""
+        """Whether the time at which a path is traced matters."""
         return self.camera_motion or self.moving
 
     @property

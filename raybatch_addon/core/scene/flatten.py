@@ -33,7 +33,7 @@ class Merged:
 
 @dataclass(frozen=True)
 class FlatMotion:
-    """What moves of the geometry."""
+    """Motion of the geometry: keys of the instances that move, and vertices of the meshes that deform."""
 
     row: np.ndarray  # by instance, row of its keys, or -1: int32, shape [n]
     keys: np.ndarray  # `motion_keys`: float32, shape [rows, steps, KEY_FLOATS]

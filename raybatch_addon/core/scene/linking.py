@@ -1,4 +1,6 @@
-"""What some rays alone see: emitters that light some objects alone, objects that block some light alone, catchers."""
+"""Objects and emitters that some rays alone see: emitters that light some objects alone, objects that block some light
+alone, catchers.
+"""
 
 from __future__ import annotations
 

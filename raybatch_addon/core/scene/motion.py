@@ -11,7 +11,7 @@ import numpy as np
 
 from .description import InstanceMaps, Scene
 
-# Of a step: quaternion (real part last), translation, stretch row by row, and nothing up to the size of two maps
+# Floats of a step: quaternion (real part last), translation, stretch row by row, and nothing up to the size of two maps
 KEY_FLOATS = 24
 # Parts of a step in which a rotation turns by at most so much [rad], where boxes are found; and the most parts of one
 _TURN, _PARTS_MOST = 0.1, 64

@@ -125,7 +125,7 @@ def step_place(geometry: Geometry, mesh: int, time: float, what: int) -> StepPla
 
 @wp.func
 def _between(values: wp.array(dtype=wp.vec3), place: StepPlace, index: int) -> wp.vec3:
-    """As traversal mixes corners, so that these are the same to the bit."""
+    """A corner between two steps, mixed as by traversal, so that it is the same to the bit."""
     a = values[place.first + index]
     b = values[place.first + index + place.stride]
     mixed = a + place.share * (b - a)

@@ -83,7 +83,7 @@ def segment_of(geometry: Geometry, triangle: int) -> Segment:
 
 @wp.func
 def _mixed_normal(before: float, behind: float, share: float) -> wp.vec3:
-    """As traversal mixes them."""
+    """A normal between two steps, mixed as by traversal."""
     a = wp.normalize(_normal_of(_bits_of(before)))
     return a + share * (wp.normalize(_normal_of(_bits_of(behind))) - a)
 

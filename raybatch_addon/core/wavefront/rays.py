@@ -181,7 +181,7 @@ def visibility_of(status: int) -> int:
 
 @dataclass(frozen=True)
 class RayNeeds:
-    """What is kept of the rays of a render, beside origin, direction, `t_max` and `hit_instance`."""
+    """Arrays that the rays of a render need, beside origin, direction, `t_max` and `hit_instance`."""
 
     shadow_rays: bool = False  # every path has a slot for a shadow ray
     shadow_hits: bool = True  # shadow rays ask for closest hits

@@ -105,7 +105,7 @@ def tile_edge(
 def round_tile_edge(
     settings: RenderSettings, is_cuda: bool, width: int, height: int, workers: int = 1, paged: bool = False
 ) -> int:
-    """As `tile_edge`, for a render that is cut into rounds.
+    """The edge of tiles, as by `tile_edge`, for a render that is cut into rounds.
 
     Tiles come at the pace of rounds, of which the first have few samples. Each tile comes to its end in each round,
     which takes a CPU as long however few paths it has: tiles are large there.
@@ -119,8 +119,8 @@ def round_tile_edge(
 def step_tile_edge(
     settings: RenderSettings, is_cuda: bool, width: int, height: int, workers: int = 1, paged: bool = False
 ) -> int:
-    """As `round_tile_edge`, for a render that shows the whole frame after a sample and refines it: large tiles would
-    come late.
+    """The edge of tiles, as by `round_tile_edge`, for a render that shows the whole frame after a sample and refines
+    it: large tiles would come late.
     """
     edge = round_tile_edge(settings, is_cuda, width, height, workers, paged)
     return edge if is_cuda or settings.tile_size else min(edge, CPU_STEP_TILE)

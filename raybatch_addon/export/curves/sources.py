@@ -76,7 +76,7 @@ class CurvesSource:
         return self._cut.moved(points + (values if kept is None else values[kept])) - self._cut.moved(points)
 
     def exported(self, uvs_asked: bool, warnings: list[str]) -> Mesh | None:
-        """Its mesh; None where nothing of it can be rendered."""
+        """The mesh of the curves; None where nothing of it can be rendered."""
         strands = self._cut.strands
         _warn_dropped(strands, f"object “{self._user}”: curves", self._user, warnings)
         if len(strands.points) == 0:
@@ -140,7 +140,7 @@ class ParticleHair:
         self._cut = CutStrands(strands, shape)
 
     def vertices_of(self, obj: bpy.types.Object) -> np.ndarray | None:
-        """As in `CurvesSource`."""
+        """See `CurvesSource.vertices_of`."""
         modifier = obj.modifiers.get(self._name)
         if modifier is None or modifier.type != "PARTICLE_SYSTEM":
             return None
@@ -151,7 +151,7 @@ class ParticleHair:
         """Particle hair has none."""
 
     def exported(self, uvs_asked: bool, warnings: list[str]) -> Mesh | None:
-        """Its mesh; None where there is no hair."""
+        """The mesh of the hair; None where there is none."""
         strands = self._cut.strands
         name = f"{self._owner.name}/{self._system.name}"
         _warn_dropped(strands, f"particle hair “{name}”: strands", self._owner.name, warnings)
@@ -228,7 +228,7 @@ class PointsSource:
         self._points, self._radii = points[self._kept], radii[self._kept]
 
     def vertices_of(self, obj: bpy.types.Object) -> np.ndarray | None:
-        """As in `CurvesSource`."""
+        """See `CurvesSource.vertices_of`."""
         count = len(obj.data.points) if isinstance(obj.data, bpy.types.PointCloud) else -1
         if count != len(self._kept):
             return None
@@ -236,14 +236,14 @@ class PointsSource:
         return points if np.isfinite(points).all() else None
 
     def velocity(self) -> np.ndarray | None:
-        """As in `CurvesSource`."""
+        """See `CurvesSource.velocity`."""
         values = _stored(self._cloud, "velocity", len(self._kept))
         if values is None or values.shape[1] != 3 or not np.isfinite(values).all():
             return None
         return values[self._kept]
 
     def exported(self, uvs_asked: bool, warnings: list[str]) -> Mesh | None:
-        """Its mesh; None where it has no points."""
+        """The mesh of the points; None where there are none."""
         lost = len(self._kept) - len(self._points)
         if lost:
             text = f"{lost:,} points without radius, or with numbers that are not finite, are left out"

@@ -94,7 +94,7 @@ def without_radius(count: int) -> Strands:
 
 @dataclass(frozen=True)
 class CurveShape:
-    """What curves are: round, straight between points, or strips that face each ray."""
+    """The shape that curves are given: round, straight between points, or strips that face each ray."""
 
     linear: bool = False
     ribbons: bool = False

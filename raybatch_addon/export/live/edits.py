@@ -1,4 +1,4 @@
-"""What an edit touched: Blender's list of what it evaluated anew, sorted by what must be read again."""
+"""Edits, sorted by what must be read again: taken from Blender's list of what it evaluated anew."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Update:
 
 @dataclass
 class Edits:
-    """What changed since the scene was read last."""
+    """Changes since the scene was read last."""
 
     moved: set[int] = field(default_factory=set)  # objects that are elsewhere and otherwise the same
     reshaped: set[int] = field(default_factory=set)  # objects and data of another shape

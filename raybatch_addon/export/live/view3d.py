@@ -1,4 +1,4 @@
-"""What a region of the 3D view looks at, as plain values, and the core's camera and frame for it.
+"""The view of a region of the 3D view, as plain values, and the core's camera and frame for it.
 
 Blender's own projection of the region is taken: zoom, shift, the camera's frame within the region and walking through
 the scene are in it already.

@@ -24,7 +24,7 @@ from .meshes import export_mesh
 
 # A mesh that this many exports have not used is dropped
 _EXPORTS_KEPT = 2
-# Of the host's free memory, what kept meshes may take
+# Share of the host's free memory that kept meshes may take
 _MEMORY_SHARE = 0.25
 # What counts as free at most, as where the system does not say [bytes]
 _FREE_MOST = 64 << 30
@@ -87,7 +87,7 @@ class _Kept:
 
 
 _kept: dict[bytes, _Kept] = {}  # by digest of the shape
-# Of each mesh, by names and counts, the digest that it had last
+# The digest that each mesh had last, by names and counts
 _last: dict[tuple, bytes] = {}
 _export_count = 0
 _is_aside = False

@@ -31,7 +31,7 @@ class _Known:
 
 
 class LiveMeshes:
-    """What passes over the depsgraph of one viewport leave for the next one."""
+    """Meshes that passes over the depsgraph of one viewport leave for the next one."""
 
     def __init__(self) -> None:
         self._known: dict[tuple[int, int], _Known] = {}  # by address and `session_uid` of evaluated data
@@ -111,11 +111,11 @@ class LiveSource:
         self._known, self._read, self._source = known, read, source
 
     def exported(self) -> Mesh | None:
-        """As that of `MeshSource`."""
+        """See `MeshSource.exported`."""
         return self._known.mesh
 
     def attributes(self, asked: Iterable[tuple[str, str]]) -> list[Attribute]:
-        """As those of `MeshSource`."""
+        """See `MeshSource.attributes`."""
         found: list[Attribute] = []
         for key in asked:
             if key not in self._known.attributes:

@@ -1,4 +1,4 @@
-"""What is placed in a scene, as it is collected, and which placements can be rendered."""
+"""Meshes and their placements in a scene, as they are collected, and which placements can be rendered."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What objects say of their motion (settings of Cycles, where its add-on is enabled), and how they are found again."""
+"""Motion settings of objects (those of Cycles, where its add-on is enabled), and how objects are found again."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..meshes.meshes import mesh_velocity
 
 
 class PlacedMotion(NamedTuple):
-    """What finds a placement again at another time, and how it may move."""
+    """A placement as it is found again at another time, and how it may move."""
 
     key: tuple
     mesh: int

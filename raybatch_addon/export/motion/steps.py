@@ -1,4 +1,4 @@
-"""What moves while the shutter is open: the camera, the maps of instances, and the vertices of meshes."""
+"""Motion while the shutter is open: the camera, the maps of instances, and the vertices of meshes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _NOWHERE = np.zeros(0, np.int32), np.zeros((0, 16), np.float32)
 
 
 class MotionSteps:
-    """What is known of things at evenly spaced times while the shutter is open."""
+    """Positions and shapes at evenly spaced times while the shutter is open."""
 
     def __init__(self, exposure: Exposure, placements: Placements, camera_steps: int) -> None:
         """Take what was exported in the middle."""

@@ -1,1 +1,1 @@
-"""What is set in a scene and not heard: found by a look at properties, a row for each."""
+"""Settings of a scene that are not heard: found by a look at properties, a row for each."""

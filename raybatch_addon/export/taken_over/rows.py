@@ -1,4 +1,4 @@
-"""What corresponds to what: a row for each of our settings that another engine has too."""
+"""Correspondence of settings: a row for each of ours that another engine has too."""
 
 from __future__ import annotations
 

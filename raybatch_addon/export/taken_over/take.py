@@ -31,7 +31,7 @@ class Difference:
     ours: Any
 
     def text(self, engine: str) -> str:
-        """It in words."""
+        """The difference in words."""
         info = SETTINGS.get(self.setting)
         label = _OF_FILE[self.setting] if info is None else info.title
         theirs, ours = (

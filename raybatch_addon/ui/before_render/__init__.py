@@ -1,4 +1,4 @@
-"""What is known before a render: what it would lack, and settings of other engines that it could take over."""
+"""Notices shown before a render: what it would lack, and settings of other engines that it could take over."""
 
 from __future__ import annotations
 

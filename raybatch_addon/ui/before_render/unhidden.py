@@ -1,4 +1,4 @@
-"""What is rendered though the viewport hides it, shown for as long as a look at the scene takes."""
+"""Objects that are rendered though the viewport hides them, shown for as long as a look at the scene takes."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ RESULT = "Render Result"
 
 @dataclass(frozen=True)
 class SlotRender:
-    """What is in a slot."""
+    """The render in a slot."""
 
     number: int  # of the render, in the order of time
     title: str

@@ -19,7 +19,7 @@ from .operators import (
 from .properties import chosen_target
 from .shown import Shown, panel_icon, slot_icon
 
-# Of the plot in the panel, at scale 1
+# Height of capital letters and longest edge of the plot in the panel, at scale 1 [pixels]
 _PANEL_TEXT, _PANEL_EDGE_MAX = 6.0, 640
 _UNIT = 20  # pixels of Blender's icons at scale 1
 

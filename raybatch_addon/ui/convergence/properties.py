@@ -6,7 +6,7 @@ import bpy
 
 
 class RayBatchConvergence(bpy.types.PropertyGroup):
-    """What the panel Convergence remembers of a scene."""
+    """Values that the panel Convergence remembers of a scene."""
 
     record: bpy.props.BoolProperty(
         name="Record Renders",

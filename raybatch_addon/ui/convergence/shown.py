@@ -13,7 +13,7 @@ from ...convergence.records import RUNNING, store
 from .properties import chosen_target
 
 IMAGE_NAME = "RayBatch Convergence"
-# Of the image [pixels], and the height of its capital letters
+# Size of the image, and the height of its capital letters [pixels]
 IMAGE_SIZE, IMAGE_TEXT = (1280, 960), 12.0
 # Between two looks at the record while a render runs, and otherwise [s]
 LIVE_SECONDS, IDLE_SECONDS = 0.5, 1.0

@@ -58,7 +58,7 @@ class ZeroCopyTracer(StageTracer):
 
 @dataclass(frozen=True)
 class Budget:
-    """What of the geometry may be on the device."""
+    """The part of the geometry that may be on the device."""
 
     bytes: int  # 0: all of it
     folder: Path
@@ -116,7 +116,7 @@ class WaitingTracer(MeasuredTracer):
     def _paged(self, scene: BenchmarkScene) -> Any:
         plan = self.plan
         if self._trees.paged is None:
-            # of one budget and store: all tracers of a run share them
+            # pages have one budget and store: all tracers of a run share them
             self._trees.paged = build_paged_scene(
                 scene.flat,
                 scene.scene.instances.visibility,
@@ -147,7 +147,7 @@ class WaitingTracer(MeasuredTracer):
         self._tracer = self._made(NoTimer())
 
     def _made(self, timer: StageTimer | NoTimer) -> Tracer:
-        # of rays that ask for any hit all slots are those of shadow rays
+        # rays that ask for any hit have slots of shadow rays alone
         path_count = 0 if self._any_hit else self._count
         worker = WorkerRays(
             rays=self._rays, path_count=path_count, shadow_kind=RayKind.OCCLUSION, device=self._device, timer=timer

@@ -32,7 +32,7 @@ EVENTS = (
 
 
 def sample_noise(first: np.ndarray, second: np.ndarray, count: np.ndarray) -> np.ndarray:
-    """As `noise.sample_noise`, for grey pixels, float64."""
+    """The noise of samples, like `noise.sample_noise`, for grey pixels, float64."""
     light = 1.5 * (first + second)
     ratio = np.divide(1.5 * np.abs(first - second), light, out=np.zeros_like(light), where=light > 0)
     return ratio**2 * np.minimum(light, 1.0) * count

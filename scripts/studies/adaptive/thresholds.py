@@ -116,4 +116,4 @@ def _figures(rows: list[Row], points: list[Row], cost: float) -> list[str]:
 
 
 def draw(reports: dict[str, Report], folder: Path) -> None:
-    """A table says it all."""
+    """Draws nothing: a table says it all."""

@@ -172,7 +172,7 @@ def fragment(reports: dict[str, Report]) -> str:
 
 
 def draw(reports: dict[str, Report], folder: Path) -> None:
-    """A table says it all."""
+    """Draws nothing: a table says it all."""
 
 
 ABOUT = "images looked up as they are, or filtered over the footprints of paths: error, bias, time and memory"

@@ -1,4 +1,4 @@
-"""What is measured for the thesis's tables: its combinations of parameters, on our tracer."""
+"""The cases measured for the thesis's tables: its combinations of parameters, on our tracer."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from studies.study import Case, Options, Row
 SCENES = ("dragon", "sponza")
 ORDERS, STORAGES = ("FRAME_FIRST", "PIXEL_FIRST"), ("DIRECT", "INDIRECT")
 TREELET_SIZES, RAY_COUNTS = (200, 800, 1600, 2000), (1024, 10240, 1048576)
-# Of its appendices D and E
+# Values of the thesis's appendices D and E
 MANY_RAY_COUNTS, QUEUE_SIZES = tuple(2**k for k in range(8, 22)), (32, 64, 128, 256, 512, 1024, 2048)
 SAMPLES, BOUNCES = 2, 7  # SPP and MAXDEPTH
 # What all runs of a table had, as far as the thesis states it: (sample_order, treelet_size, ray_count, queue_size)
@@ -42,7 +42,7 @@ def settings_of(changes: dict[str, Any], samples: int = SAMPLES) -> RenderSettin
 
 
 def initial_cases() -> list[Case]:
-    """Its 96 combinations (table 4.2)."""
+    """The thesis's 96 combinations (table 4.2)."""
     found = []
     for scene, treelets, rays, storage, order in itertools.product(SCENES, TREELET_SIZES, RAY_COUNTS, STORAGES, ORDERS):
         what = {

@@ -163,7 +163,7 @@ def test_frames_of_a_command_have_files_of_their_own(kept, tmp_path, addon):
     assert checkpoints.asked is None
 
 
-def test_a_command_that_is_stopped_between_frames_tells_of_those_that_are_done(kept, tmp_path, monkeypatch):
+def test_a_command_that_is_stopped_between_frames_reports_those_that_are_done(kept, tmp_path, monkeypatch):
     from rendering.stops import StopRequests
 
     blend, report = tmp_path / "a.blend", tmp_path / "a.json"

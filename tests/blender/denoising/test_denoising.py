@@ -139,7 +139,7 @@ def test_a_cancel_ends_denoising_and_keeps_the_noisy_picture(room, monkeypatch):
     assert "Combined" in rendered_film(room).made, "the next one is denoised"
 
 
-def test_all_parts_of_a_denoised_render_are_told_and_add_up(room):
+def test_all_parts_of_a_denoised_render_are_reported_and_add_up(room):
     room.raybatch.denoise, room.raybatch.error_estimate = "ON", "OFF"
     reported = rendered_film(room).statistics["seconds"]
     named = [part for part in PARTS if part in reported]

@@ -77,7 +77,7 @@ def test_a_radius_that_is_no_number_is_named():
     assert scene.meshes[0].radii == pytest.approx(0.005) and "“radius”" in scene.warnings[0]
 
 
-def test_an_attribute_that_strands_lack_is_told():
+def test_an_attribute_that_strands_lack_is_reported():
     hair = add_curves([(0, 0, 0), (0, 0, 1)], [2])
     hair.data.attributes.new("there", "FLOAT", "POINT")
     material = bpy.data.materials.new("Tinted")
@@ -206,7 +206,7 @@ def test_ellipses_of_curves_know_the_normals_of_their_points():
     assert normals.shape[1:] == (3, 3) and np.linalg.norm(normals, axis=2) == pytest.approx(1, abs=0.3)
 
 
-def test_particle_hair_has_colours_and_maps_of_its_emitter():
+def test_particle_hair_has_colors_and_maps_of_its_emitter():
     ground = add_grid("Ground", 2)
     colors = ground.data.color_attributes.new("Tint", "BYTE_COLOR", "CORNER").data
     colors.foreach_set("color", [0.5, 0.25, 0.75, 1.0] * len(colors))

@@ -39,7 +39,7 @@ def test_device_settings_and_threads_are_asked_for_on_the_command_line():
         (["--raybatch-devize", "cpu"], "no option --raybatch-devize: the options are --raybatch-device"),
     ],
 )
-def test_options_that_are_not_understood_are_told(options, words):
+def test_options_that_are_not_understood_are_reported(options, words):
     with pytest.raises(SettingsError, match=words):
         asked(["blender", "--", *options])
 
@@ -129,7 +129,7 @@ def test_lines_of_progress_come_at_most_every_five_seconds(monkeypatch):
 
 
 @pytest.mark.parametrize(("codes", "left"), [([1], 1), ([3], 3), ([1, 3], 3), ([3, 1], 3)])
-def test_the_exit_code_tells_what_became_of_renders(codes, left):
+def test_the_exit_code_says_what_became_of_renders(codes, left):
     code = f"import raybatch_addon.blender.exit_code as e; [e.end_with(each) for each in {codes}]; print('all')"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout.strip()) == (left, "all")

@@ -181,7 +181,7 @@ def test_of_a_mesh_that_deforms_the_last_shape_alone_is_kept(obj, monkeypatch):
 
 
 def test_two_shapes_of_a_mesh_that_take_turns_are_both_kept(obj):
-    """As those of a viewport and of a final render do, each of which is found again."""
+    """Two shapes like those of a viewport and of a final render, each of which is found again."""
     made = []
     for hidden in (True, True, False, True, False, True):
         obj.modifiers["Solid"].thickness = 0.25 if hidden else 0.5

@@ -1,1 +1,3 @@
-"""What a scene would be rendered without, told before the render, and settings of other engines that are taken over."""
+"""Parts that a render of a scene would lack, reported before the render, and settings of other engines that are taken
+over.
+"""

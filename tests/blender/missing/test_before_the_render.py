@@ -1,4 +1,4 @@
-"""What is missing is said before the render: weighed, with objects, nodes and remedies, and refused where asked."""
+"""Missing parts are reported before the render: weighed, with objects, nodes and remedies, and refused where asked."""
 
 import json
 import subprocess

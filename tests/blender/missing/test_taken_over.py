@@ -21,7 +21,7 @@ def test_every_row_names_a_setting_and_a_property(scene, engine):
     assert len({row.setting for row in ROWS[engine]}) == len(ROWS[engine])
 
 
-def test_what_differs_is_told_and_taken_over(scene):
+def test_what_differs_is_reported_and_taken_over(scene):
     own = scene.cycles
     own.samples, own.max_bounces, own.sample_clamp_indirect, own.adaptive_threshold = 123, 3, 2.5, 0.02
     own.pixel_filter_type, own.filter_width = "GAUSSIAN", 1.75
@@ -51,7 +51,7 @@ def test_exposure_brightens_what_blender_shows(scene, tmp_path):
     assert tuple(loaded.pixels[:3]) == (0.625, 1.25, 2.5)
 
 
-def test_a_setting_that_cannot_be_read_is_told_where_settings_are_compared(scene):
+def test_a_setting_that_cannot_be_read_is_reported_where_settings_are_compared(scene):
     scene.raybatch.geometry_budget = "abc"
     notes = drawn(RAYBATCH_RENDER_PT_settings_from, context_of(scene))
     assert any("geometry_budget" in note[1] and note[2] == "ERROR" for note in notes)
@@ -118,7 +118,7 @@ def test_the_output_of_the_engine_counts(scene, engine, color):
     assert exported.closures[0].weight == color
 
 
-def test_numbers_that_set_no_limit_are_told_so():
+def test_numbers_that_set_no_limit_are_reported_as_no_limit():
     text = Difference("glossy_bounce_max", 4, SETTINGS["glossy_bounce_max"].off).text("CYCLES")
     assert text == "Max Bounces, Glossy: 4 in Cycles, no limit here"
     assert Difference("time_limit", 0.0, 5.0).text("CYCLES") == "Time Limit: no limit in Cycles, 5 here"

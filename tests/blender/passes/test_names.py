@@ -29,7 +29,7 @@ def test_kinds_of_mattes_and_earlier_names_are_those_of_the_core_s_passes():
     assert set(asked._EARLIER_NAMES) - {"Volume Color"} < set(film_passes)
 
 
-def test_passes_are_those_of_cycles_but_for_those_that_are_told(scene):
+def test_passes_are_those_of_cycles_but_for_those_that_are_reported(scene):
     """With everything on that either can be asked for, of Cycles."""
     from cycles.engine import list_render_passes
 

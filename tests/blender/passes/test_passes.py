@@ -160,7 +160,7 @@ def test_mattes_are_those_of_cycles(both, kind):
     assert (matte_identity("Bulb") in {key[2] for key in ours}) == (kind == "CryptoObject")
 
 
-def test_files_tell_what_mattes_stand_for(both):
+def test_files_say_what_mattes_stand_for(both):
     header = both[3]
     name = "ViewLayer.CryptoObject"
     prefix = f"cryptomatte/{murmur_hash(name):08x}"[: len("cryptomatte/") + 7]

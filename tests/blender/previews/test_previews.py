@@ -41,7 +41,7 @@ def test_previews_are_near_those_of_cycles(scene):
         found[engine] = [shown(each) for each in (ball((0.8, 0.02, 0.02)), world, lamp)]
     for mine, theirs in zip(*found.values(), strict=True):
         assert mine.shape == theirs.shape and theirs[..., :3].max() > 0
-        # of 4 samples here: noise, but not another picture
+        # pictures of 4 samples differ by noise, but not otherwise
         assert np.abs(mine - theirs).mean() < 0.03
         assert np.abs(mine.mean((0, 1)) - theirs.mean((0, 1))).max() < 0.02
 

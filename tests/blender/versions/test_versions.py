@@ -77,7 +77,7 @@ def test_the_version_is_kept_in_the_file(scene, tmp_path):
     assert scene.raybatch.version == VERSION
 
 
-def test_settings_of_a_newer_version_are_left_alone_and_told(scene, capsys):
+def test_settings_of_a_newer_version_are_left_alone_and_reported(scene, capsys):
     scene.raybatch.version, scene.raybatch.device = "99.1", "CPU"
     before = settings_from(scene)
     migration._opened()

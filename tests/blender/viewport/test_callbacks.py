@@ -118,7 +118,7 @@ def test_what_a_view_hides_is_gone_at_the_next_draw(shown):
     shown.until(lambda: len(shown.request.scene.instances) == 1 and shown.is_finished())
 
 
-def test_what_is_left_out_is_told(shown):
+def test_what_is_left_out_is_reported(shown):
     shown.until(shown.is_finished)
     edit(lambda: setattr(bpy.data.objects["Grid"], "scale", (0, 0, 0)))
     shown.until(shown.is_finished)
@@ -129,7 +129,7 @@ def test_what_is_left_out_is_told(shown):
     assert shown.viewport.status()[1] == "Sample 4/4"
 
 
-def test_warnings_are_told_by_the_first_and_their_number():
+def test_warnings_are_shown_by_the_first_and_their_number():
     assert with_warnings("Sample 1/4", []) == "Sample 1/4"
     assert with_warnings("Sample 1/4", ["a", "b", "a"]) == "Sample 1/4 | a (and 1 more)"
     assert with_warnings("", ["a"]) == "a"

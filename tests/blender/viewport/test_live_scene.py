@@ -145,7 +145,7 @@ def test_a_group_that_materials_share_reads_these_materials(reader, objects):
 
 
 def test_edits_that_come_faster_than_slices_do_not_put_it_off(objects):
-    """As while an animation plays."""
+    """Edits come like this while an animation plays."""
     reader, depsgraph = LiveScene(), bpy.context.evaluated_depsgraph_get()
     for _ in range(20):
         reader.note([Update("Scene", 1)])
@@ -263,7 +263,7 @@ def test_instances_of_a_collection_are_placed_with_it(scene, objects):
     assert as_exported(reader.live)
 
 
-def test_kinds_of_edits_are_told_apart():
+def test_kinds_of_edits_are_distinguished():
     edits = Edits(any_material=False)
     edits.add([Update("Object", 1, transform=True)])
     assert edits.moved == {1} and not edits.is_whole and not edits.any_material

@@ -69,7 +69,7 @@ def test_a_final_render_that_waits_can_be_cancelled(no_sessions):
     assert not sessions._is_lent and not finals.are_under_way()
 
 
-def test_closing_waits_no_longer_than_it_is_told(no_sessions):
+def test_closing_waits_no_longer_than_it_is_asked_to(no_sessions):
     with sessions.session_for(RenderSettings()):
         assert not sessions.close_all(0.01)
     assert sessions.close_all() and not finals.are_under_way()
@@ -110,7 +110,7 @@ def test_a_view_layer_alone_holds_viewports_off(scene):
     assert found == [True] and not finals.are_under_way()
 
 
-def test_a_render_whose_end_nobody_told_holds_viewports_off_no_longer(monkeypatch):
+def test_a_render_whose_end_nobody_reported_holds_viewports_off_no_longer(monkeypatch):
     monkeypatch.setattr(finals, "_is_job", True)
     assert finals.are_under_way()
     finals.look()

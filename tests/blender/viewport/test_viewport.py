@@ -74,7 +74,7 @@ def test_two_viewports_take_turns(shown, lit):
     assert second.viewport.render.join(60)
 
 
-def test_settings_that_do_not_go_together_are_told_in_the_view(shown, lit):
+def test_settings_that_do_not_go_together_are_reported_in_the_view(shown, lit):
     lit.raybatch.ray_low_water, lit.raybatch.ray_high_water = 0.9, 0.2
     shown.draw()
     assert "ray_low_water" in shown.viewport.status()[1]
@@ -83,7 +83,7 @@ def test_settings_that_do_not_go_together_are_told_in_the_view(shown, lit):
     assert "Sample" in shown.viewport.status()[1]
 
 
-def test_a_device_that_is_not_there_is_told_in_the_view(shown, lit):
+def test_a_device_that_is_not_there_is_reported_in_the_view(shown, lit):
     lit.raybatch.device = "cuda:7"
     shown.until(lambda: shown.viewport.render.state.error)
     assert "cuda:7" in shown.viewport.status()[1]
@@ -99,7 +99,7 @@ def test_deleted_objects_and_cameras_and_new_files_are_safe(shown, lit):
     assert "could not" not in shown.viewport.status()[1]
 
 
-def test_what_goes_wrong_is_told_in_the_view_and_not_raised(shown, monkeypatch):
+def test_what_goes_wrong_is_reported_in_the_view_and_not_raised(shown, monkeypatch):
     def broken(*_):
         raise ZeroDivisionError("division by zero")
 

@@ -28,7 +28,7 @@ def test_a_render_region_that_leaves_the_view_takes_its_picture_with_it(shown, l
     assert shown.drawn[-1].samples == 4
 
 
-def test_an_edit_that_cannot_be_told_reads_all(shown, monkeypatch):
+def test_an_edit_that_cannot_be_identified_reads_all(shown, monkeypatch):
     shown.until(shown.is_finished)
 
     def broken(_depsgraph):

@@ -47,7 +47,7 @@ def test_work_begins_once_free_and_no_clock_is_turned_that_nobody_reads():
 
 
 class Fault(Exception):
-    """Of a callback."""
+    """An error raised by a callback."""
 
 
 @pytest.mark.parametrize("way", ["cancelled", "raised"])

@@ -46,7 +46,7 @@ def folder(tmp_path_factory) -> Path:
 
 @pytest.mark.skipif(DEVICE != "cpu", reason="on the CPU alone")
 def test_no_scene_compiles_before_its_first_picture(folder):
-    """They are counted: how long it takes depends on the machine."""
+    """Compilations are counted: how long they take depends on the machine."""
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
     kept = {"RAYBATCH_KERNEL_TIER": "AUTO", "RAYBATCH_KERNEL_CACHE": str(folder), "WARP_CACHE_PATH": str(folder)}
     command = [sys.executable, "-c", PROCESS, str(folder)]

@@ -1,4 +1,4 @@
-"""What is to be told of compiled kernels is told by a render that goes on, whatever was cancelled before."""
+"""Notes about compiled kernels are reported by a render that goes on, whatever was cancelled before."""
 
 import time
 
@@ -20,7 +20,7 @@ def nothing_noted():
     take_notes()
 
 
-def test_a_render_that_goes_on_tells_the_notes():
+def test_a_render_that_goes_on_reports_the_notes():
     note("the kernel of a test was damaged")
     preparation = Preparation([], wp.get_device("cpu"), None, lambda: False, Parts("check"))
     preparation.run(lambda: "the scene", lambda: False, lambda *progress: None)

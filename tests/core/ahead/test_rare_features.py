@@ -36,7 +36,7 @@ def test_general_kernels_of_a_gpu_lack_what_few_scenes_have(feature):
 
 @pytest.mark.skipif(DEVICE != "cpu", reason="on the CPU alone")
 def test_displacement_is_by_general_kernels_where_these_are_ready(monkeypatch):
-    """So that vertices are where specialised ones move them, and nothing is compiled for one scene."""
+    """General kernels move vertices to where specialised ones do, and nothing is compiled for one scene."""
     scene, _ = FEATURES["displacement"]
     launched = []
     launch = wp.launch

@@ -135,7 +135,7 @@ def test_what_is_too_small_is_named_with_the_limit():
     )
     assert placed(tiny, scenes.translation(0, 0, 0, 100.0)).warnings == ()
     assert len(placed(scenes.sphere(), scenes.translation(0, 0, 0, 1e-19)).warnings) == 1
-    # of shared meshes the size in object space counts too
+    # the size of shared meshes in object space counts too
     assert len(placed(tiny, *[scenes.translation(i, 0, 0, 100.0) for i in range(2)]).warnings) == 2
     assert placed(scenes.sphere(radius=EXTENT_MIN), scenes.IDENTITY).warnings == ()
 

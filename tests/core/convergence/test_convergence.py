@@ -100,7 +100,7 @@ def test_errors_are_what_their_formulas_say():
 
 
 def test_errors_are_computed_in_float64():
-    """Of float32 pictures with a tiny difference on a large value nothing is lost but what float32 lost itself."""
+    """A tiny difference on a large value of float32 pictures loses nothing but what float32 lost itself."""
     x = np.full(SHAPE, np.float32(1e6) + np.float32(0.0625), np.float32)
     assert rmse(x, np.full(SHAPE, 1e6)) == 0.0625
 
@@ -236,7 +236,7 @@ def test_points_without_a_reference_come_from_halves():
     )  # the mean is float32
 
 
-def test_without_reference_and_halves_nothing_tells_the_error():
+def test_without_reference_and_halves_nothing_gives_the_error():
     recorder = ConvergenceRecorder()
     assert recorder.points() == []
     recorder.on_snapshot(snapshot(4, np.zeros(SHAPE)))

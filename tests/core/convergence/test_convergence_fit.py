@@ -158,7 +158,7 @@ def test_the_spread_of_the_last_slope_has_the_noise_of_the_reference_in_it():
     assert np.square(z).mean() == pytest.approx(1, abs=4 * math.sqrt(2 / 200))
 
 
-def test_light_that_no_path_found_is_told_from_a_bias():
+def test_light_that_no_path_found_is_distinguished_from_a_bias():
     """A picture that stays black has an error that stays, and nothing tells why. Nor is a slope that is not known that
     of anything.
     """
@@ -174,7 +174,7 @@ def test_light_that_no_path_found_is_told_from_a_bias():
     assert "or light" not in fit_slope(measured(1, 256, bias=0.3)).says
 
 
-def test_a_bias_is_told_from_noise_of_the_reference():
+def test_a_bias_is_distinguished_from_noise_of_the_reference():
     """The reference has the noise of 64 samples: the curve flattens there, but not above what the reference adds.
 
     Seven points stand out, or six: Student's t with 4 degrees of freedom is above 17 in 1 of 14,000 cases.

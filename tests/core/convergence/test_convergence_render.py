@@ -116,7 +116,7 @@ def test_the_float64_tracer_sees_the_world_and_refuses_what_it_does_not_know():
 
 
 def test_the_truth_is_fine_enough(truth):
-    """Its noise is a fraction of what it is to measure: the error at 256 samples is 0.003, as `slopes` finds."""
+    """The truth's noise is a fraction of what it is to measure: at 256 samples the error is 0.003 (`slopes`)."""
     assert 0 < noise_floor(truth)[0] < 0.001
 
 
@@ -179,7 +179,7 @@ def test_an_error_against_a_closed_form(session):
 
 
 @pytest.mark.parametrize("sequence", ["INDEPENDENT", "SOBOL"])
-def test_halves_tell_the_error_against_the_truth(session, room, truth, sequence):
+def test_halves_give_the_error_against_the_truth(session, room, truth, sequence):
     """In each pixel, (A - B)^2 / 4 and ((A + B) / 2 - truth)^2 less the truth's variance have one mean. Pixels are
     independent, so the mean of their difference over 192 pixels is normal with the spread that they show (their
     channels are not: those are averaged first)."""

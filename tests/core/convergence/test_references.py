@@ -144,7 +144,7 @@ def test_a_reference_that_cannot_be_written_leaves_nothing(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
 
 
-def test_the_hash_of_a_scene_tells_what_is_seen():
+def test_the_hash_of_a_scene_depends_on_what_is_seen():
     def made(color=0.5, size=2.0, frame=None, **more):
         return scenes.scene([(scenes.plane(size=size), scenes.IDENTITY, scenes.diffuse(color))], frame=frame, **more)
 

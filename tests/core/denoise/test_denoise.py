@@ -69,7 +69,7 @@ def test_denoising_repeats_bit_for_bit_and_every_prefilter_gives_another_picture
 
 
 @needs_library
-def test_the_error_of_denoised_halves_is_told_without_the_truth(library):
+def test_the_error_of_denoised_halves_is_given_without_the_truth(library):
     settings = ON.replace(denoise_inputs="NONE", denoise_quality="FAST")
     reported, true = [], []
     for seed in range(6):
@@ -117,7 +117,7 @@ def test_guiding_passes_are_rendered_only_for_a_denoiser():
     assert guiding_passes(ON.replace(denoise_inputs="NONE")) == ()
 
 
-def test_a_library_that_is_not_there_is_told_with_its_path_and_the_cure(tmp_path, monkeypatch):
+def test_a_library_that_is_not_there_is_reported_with_its_path_and_the_cure(tmp_path, monkeypatch):
     with pytest.raises(RayBatchError, match="there is no file .*nowhere.*denoise_library.*or denoise to OFF"):
         open_library(str(tmp_path / "nowhere.so"))
     monkeypatch.setenv(VARIABLE, str(tmp_path / "elsewhere.so"))
@@ -125,7 +125,7 @@ def test_a_library_that_is_not_there_is_told_with_its_path_and_the_cure(tmp_path
         open_library()
 
 
-def test_what_is_no_library_is_told_by_its_path(tmp_path):
+def test_what_is_no_library_is_reported_by_its_path(tmp_path):
     (tmp_path / FILE_NAMES[0]).write_text("not a library")
     with pytest.raises(RayBatchError, match="is not Open Image Denoise 2"):
         open_library(str(tmp_path))

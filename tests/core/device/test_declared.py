@@ -279,7 +279,7 @@ def test_processes_that_write_at_once_lose_no_notes_of_each_other(folder):
 
 
 @pytest.mark.parametrize("what, error", [("kernel", ValueError), ("function", AttributeError)])
-def test_a_declaration_that_fails_is_told_to_each_who_asks(what, error, monkeypatch):
+def test_a_declaration_that_fails_is_reported_to_each_who_asks(what, error, monkeypatch):
     bad, good = make_kernel(5.0), make_kernel(3.0)
     wanted = bad if what == "kernel" else bad.func.__closure__[0].cell_contents
     declare, device = getattr(declared, f"_declare_{what}"), wp.get_device(CPU)
@@ -341,7 +341,7 @@ def run_process(root: Path, folder: Path, *words: str) -> list[str]:
 
 
 def test_a_render_with_kernels_that_are_ready_declares_nothing(session, monkeypatch):
-    """Those of the suite's own folder, which the first process may complete."""
+    """The kernels are those of the suite's own folder, which the first process may complete."""
     monkeypatch.undo()
     folder = Path(wp.config.kernel_cache_dir).parent
     first, second = run_process(ROOT, folder), run_process(ROOT, folder)
@@ -374,13 +374,13 @@ def test_a_changed_source_is_noticed(tmp_path):
 
 
 def test_bytecode_that_is_not_the_sources_is_noticed():
-    """As in a session whose files were changed after they were imported."""
+    """Bytecode differs like this in a session whose files were changed after they were imported."""
     kernel = make_kernel(3.0)
     reported = module_identity(kernel)
     kernel.func.__code__ = kernel.func.__code__.replace(co_consts=(*kernel.func.__code__.co_consts, "other"))
     assert module_identity(kernel) != reported
 
 
-def test_floats_are_told_to_the_last_bit():
+def test_floats_are_distinguished_to_the_last_bit():
     assert module_identity(make_kernel(0.1)) != module_identity(make_kernel(float(np.nextafter(0.1, 1.0))))
     assert module_identity(make_kernel(0.0)) != module_identity(make_kernel(-0.0))

@@ -156,7 +156,7 @@ def test_pixels_may_be_larger_than_those_of_the_screen(live, session):
     assert shown[-1].side == 2 and shown[-1].pixels.shape == (21, 24, 4) and shown[-1].box == (0, 0, 48, 42)
 
 
-def test_an_error_is_told_and_the_next_scene_is_rendered(live):
+def test_an_error_is_reported_and_the_next_scene_is_rendered(live):
     render, source, shown = live
     opened, source.opened = source.opened, None
 
@@ -174,7 +174,7 @@ def test_an_error_is_told_and_the_next_scene_is_rendered(live):
     assert not render.state.error and shown[-1].request.number == 2
 
 
-def test_a_fault_is_told_and_ends_nothing(live):
+def test_a_fault_is_reported_and_ends_nothing(live):
     render, source, _ = live
 
     class Broken:

@@ -1,4 +1,4 @@
-"""What batching did, added up over workers and reported."""
+"""Counts of batching, added up over workers and reported."""
 
 import json
 from dataclasses import fields

@@ -79,7 +79,7 @@ def test_sums_by_kind_bounce_and_pixel(passes, batches):
         assert np.array_equal(cost[row], work.pixels[name]), name
 
 
-def test_a_tracer_that_does_not_tell_its_steps_has_its_rays_counted():
+def test_a_tracer_that_does_not_report_its_steps_has_its_rays_counted():
     work = Work(CounterFeatures(False, ("Rays", "Node Steps")))
     work.wave(RayKind.OCCLUSION, 200, 300)
     for each in work.counters.work:

@@ -44,7 +44,7 @@ def test_threads_that_start_meanwhile_are_counted(monkeypatch):
 @pytest.mark.parametrize(
     "number, word", [(errno.EACCES, "perf_event_paranoid"), (errno.ENOENT, "machine"), (errno.EINVAL, "Invalid")]
 )
-def test_the_reason_is_told(monkeypatch, number, word):
+def test_the_reason_is_reported(monkeypatch, number, word):
     def refuse(kind, config):
         raise OSError(number, os.strerror(number))
 

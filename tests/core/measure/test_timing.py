@@ -86,7 +86,7 @@ def test_no_timer_gives_nothing():
     assert timer.totals() == {}
 
 
-def test_the_devices_own_clock_tells_how_long_work_takes():
+def test_the_devices_own_clock_measures_how_long_work_takes():
     device = wp.get_device(DEVICE)
     array = wp.zeros(1 << 24, dtype=float, device=device)
     timer = StageTimer(clock_of(device))

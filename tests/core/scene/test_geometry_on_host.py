@@ -19,7 +19,7 @@ from tests.support.schedule_scenes import living_scene
 
 @pytest.mark.parametrize("made", [scenes.mixed, living_scene])
 def test_corners_instead_of_indices_change_no_film(session, monkeypatch, made):
-    """Of triangles, of segments of curves, and of both at several steps."""
+    """Corners are those of triangles, of segments of curves, and of both at several steps."""
     settings = RenderSettings(sample_count=2, bounce_max=4)
     frame = scenes.Frame(24, 18, passes=("Combined", "Normal", "Position", "Depth"))
     scene = replace(made(), frame=frame)

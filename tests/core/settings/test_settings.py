@@ -21,7 +21,7 @@ def test_text_becomes_the_settings_own_type():
         ("resolutoin", "resolution"),
     ],
 )
-def test_a_misspelt_setting_is_told_what_was_meant(name, closest):
+def test_a_misspelt_setting_is_answered_with_what_was_meant(name, closest):
     with pytest.raises(
         SettingsError,
         match=rf"no setting is called '{name}'; did you mean {closest}[ ?].*"
@@ -168,7 +168,7 @@ def test_what_lets_raybatch_choose_is_legal_and_the_default():
     assert {"batching", "treelet_size", "queue_size", "bucket_selection", "geometry_budget", "geometry_store"} <= chosen
     for name in chosen:
         info = SETTINGS[name]
-        # of estimator settings one alone is chosen, by another of them: the film depends on no device
+        # one estimator setting alone is chosen, by another of them: the film depends on no device
         assert info.effect == "schedule" or name == "adaptive_samples_min"
         assert info.default == info.auto and info.is_auto(getattr(RenderSettings(), name))
     assert not SETTINGS["bucket_wait_max"].is_auto(0)

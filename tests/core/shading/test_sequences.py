@@ -143,7 +143,7 @@ def errors(sequence, samples, integrand, seed):
     y, x, sample = (
         each.ravel() for each in np.meshgrid(np.arange(edge), np.arange(edge), np.arange(samples), indexing="ij")
     )
-    # of the set that is a light's point
+    # numbers of the set that is a light's point
     values = integrand(*numbers(sequence, sample, y * WIDTH + x, LIGHT + 1, seed)[1].astype(np.float64).T)
     return values.reshape(edge, edge, samples).mean(2)
 

@@ -1,4 +1,4 @@
-"""What a path takes is known exactly: the arrays of an integrator grow with its paths by just that."""
+"""The memory of a path is known exactly: the arrays of an integrator grow with its paths by just that."""
 
 from pathlib import Path
 
@@ -108,7 +108,7 @@ OFTEN = {next(iter(FEATURES)), "transparent"}
 @pytest.mark.parametrize(
     "case", [pytest.param(each, marks=() if each in OFTEN else pytest.mark.thorough) for each in CASES]
 )
-def test_memory_grows_by_what_is_told(case):
+def test_memory_grows_by_what_is_reported(case):
     scene, changes = CASES[case]
     settings = SETTINGS.replace(**changes)
     features = derive_features(checked_scene(scene), settings)
@@ -120,7 +120,7 @@ def test_memory_grows_by_what_is_told(case):
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("passes", [("Combined",), ("Combined", "Ambient Occlusion")])
-def test_rays_for_programs_and_passes_take_what_is_told(passes):
+def test_rays_for_programs_and_passes_take_what_is_reported(passes):
     program = ProgramBuilder()
     normal = program.value("normals")[0]
     rounded = program.value("bevel", normal, 0.1, ROUNDED | 2 << SAMPLES_SHIFT, -1, -1)
@@ -150,7 +150,7 @@ def test_a_path_of_an_opaque_scene_with_lights_is_small():
     assert bytes_per_path(derive_features(checked_scene(lit()), settings)) <= 133
 
 
-def test_sorting_takes_memory_when_it_begins_and_no_more_than_is_told(monkeypatch):
+def test_sorting_takes_memory_when_it_begins_and_no_more_than_is_reported(monkeypatch):
     monkeypatch.setattr(ray_order, "CPU_SORTED_MAX", 500)
     monkeypatch.setattr(ray_order, "CUDA_SORTED_MAX", 500)
     scene, is_cuda = lit(), find_device(DEVICE).is_cuda

@@ -1,4 +1,4 @@
-"""What kernels get of a scene."""
+"""The data of a scene that kernels get."""
 
 import ctypes
 

@@ -57,7 +57,7 @@ def stop_after(monkeypatch, looks):
     monkeypatch.setattr(rendering, "POLL_SECONDS", 0.001)
 
 
-def test_a_stopped_command_goes_on_and_tells_what_was_done(saved, tmp_path, monkeypatch):
+def test_a_stopped_command_goes_on_and_reports_what_was_done(saved, tmp_path, monkeypatch):
     checkpoint, out, report = tmp_path / "a.checkpoint", tmp_path / "a.png", tmp_path / "a.json"
     with monkeypatch.context() as patch:
         stop_after(patch, 100)
@@ -99,7 +99,7 @@ def test_ranges_of_several_calls_are_merged(saved, tmp_path):
     assert_same_files(film, whole)
 
 
-def test_bad_input_is_told_in_a_line(saved, tmp_path):
+def test_bad_input_is_reported_in_a_line(saved, tmp_path):
     checkpoint, other = tmp_path / "a.checkpoint", tmp_path / "b.checkpoint"
     assert call(saved, "--checkpoint", checkpoint).returncode == 0
     assert call(saved, "--checkpoint", other, "--set", "seed=1").returncode == 0

@@ -116,7 +116,7 @@ def test_a_finished_film_is_shown_and_no_ray_is_traced(session, tmp_path):
     assert np.array_equal(picture, film.passes["Combined"])
 
 
-def test_samples_that_are_not_finite_are_still_told_afterwards(session, tmp_path):
+def test_samples_that_are_not_finite_are_still_reported_afterwards(session, tmp_path):
     path = tmp_path / "a.checkpoint"
     session.render(scenes.mixed(FRAME), SETTINGS, checkpoint=Checkpoint(path))
     with zipfile.ZipFile(path) as archive:

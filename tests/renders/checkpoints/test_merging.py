@@ -50,7 +50,7 @@ def test_a_later_range_alone_is_a_film_of_its_own(session, scene, tmp_path):
     assert_same(merged.film().passes, session.render(scene, settings, sample_first=4).passes)
 
 
-def test_what_cannot_be_merged_is_told(session, scene, tmp_path):
+def test_what_cannot_be_merged_is_reported(session, scene, tmp_path):
     first, second, third = rendered(session, scene, tmp_path, (0, 2, 4, 7))
     with pytest.raises(CheckpointError, match="name two checkpoints or more"):
         merged_films([first])

@@ -118,7 +118,7 @@ def test_more_samples_than_an_error_target_was_judged_by_are_refused(session, tm
     ],
     ids=["format", "RayBatch", "device", "newer setting", "older settings"],
 )
-def test_files_of_other_versions_and_devices_are_told(session, path, change, why):
+def test_files_of_other_versions_and_devices_are_reported(session, path, change, why):
     with_header(path, change)
     with pytest.raises(CheckpointError, match=why):
         session.render(scenes.mixed(FRAME), SETTINGS, checkpoint=Checkpoint(path))
@@ -143,7 +143,7 @@ def test_headers_that_say_nonsense_are_damage(path, change):
         load_kept(path)
 
 
-def test_a_damaged_or_cut_file_is_told_and_never_read(path):
+def test_a_damaged_or_cut_file_is_reported_and_never_read(path):
     """Each byte of the header and of the arrays has a say in a check sum."""
     whole, random = path.read_bytes(), np.random.default_rng(2)
     expected = load_kept(path).halves[0].sums.window
@@ -159,7 +159,7 @@ def test_a_damaged_or_cut_file_is_told_and_never_read(path):
             assert np.array_equal(load_kept(path).halves[0].sums.window, expected)
 
 
-def test_files_of_other_kinds_are_told_and_left_alone(session, tmp_path):
+def test_files_of_other_kinds_are_reported_and_left_alone(session, tmp_path):
     path = tmp_path / "a.checkpoint"
     for content in (b"", b"not a film at all", np.zeros(3).tobytes()):
         path.write_bytes(content)

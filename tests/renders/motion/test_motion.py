@@ -163,7 +163,7 @@ def test_a_part_of_the_frame_is_that_part_of_the_picture(session):
     np.testing.assert_array_equal(part.passes["Combined"], whole[3:11, 4:17])
 
 
-def test_warps_tree_is_told_not_to_know_of_motion(session):
+def test_warps_tree_is_reported_not_to_know_of_motion(session):
     film = session.render(moving_scene(), SETTINGS.replace(sample_count=1, batching="REFERENCE"))
     assert any("batching is OFF, not REFERENCE" in text for text in film.statistics["warnings"])
 

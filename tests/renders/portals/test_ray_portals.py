@@ -70,7 +70,7 @@ def test_light_behind_a_portal_counts_once(session, shell, light, nee):
 
 
 @pytest.mark.parametrize("gates", [0, 1, 2])
-def test_programs_are_told_how_many_portals_a_path_has_passed(session, gates):
+def test_programs_are_given_how_many_portals_a_path_has_passed(session, gates):
     """Up to three, on the way to a mirror and back; it and a veil are not among them."""
     builder = ProgramBuilder()
     reported = builder.value("portal_depth")
@@ -141,7 +141,7 @@ def test_scenes_without_portals_have_no_code_for_them():
     assert with_one.transparency and "RAY_PORTAL" in why_not_general(with_one, SimpleNamespace(is_cuda=True))
 
 
-def test_portals_beside_volumes_are_told(session):
+def test_portals_beside_volumes_are_reported(session):
     """Rays do not find out which volumes are around the place where they come out."""
     scene = dome(portal(), Frame(2, 2))
     mist = Volume((Closure(K.VOLUME_ABSORPTION, (1e-3,) * 3),))

@@ -118,7 +118,7 @@ def test_volumes_that_lie_in_one_another_add_up(session):
 def test_a_white_furnace(session, depth):
     """What only scatters is not seen in a world of one colour, however thin or dense it is."""
     scene = in_box(medium(scattering=(depth / 2, depth / 4, depth / 8), g=0.3), world=1.0)
-    # of the densest one light has little to do but to turn back at its surface
+    # light does little in the densest one but turn back at its surface
     few = dict(sample_count=4, bounce_max=100_000, roulette_bounce=100_000) if depth < 10 else dict(bounce_max=8)
     found = picture(session, scene, **few)
     if depth < 1e-3:
@@ -194,7 +194,7 @@ def test_programs_of_volumes_against_closed_forms(session):
 
 
 def test_the_volume_of_the_world_knows_where_it_is(session):
-    """Its program sees positions, and those that the world shows directions: fog that lies lower than 1 m."""
+    """The volume's program sees positions, and those that the world shows directions: fog that lies lower than 1 m."""
     builder = ProgramBuilder()
     height = builder.value("separate_xyz", builder.value("position", 0))[2]
     factor = builder.value("splat", builder.value("math", int(MathOperation.LESS_THAN), False, height, 1.0, 0.0))

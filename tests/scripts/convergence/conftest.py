@@ -1,4 +1,4 @@
-"""What tests of scripts/convergence.py share."""
+"""The parts that tests of scripts/convergence.py share."""
 
 import pytest
 

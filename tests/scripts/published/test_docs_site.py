@@ -99,7 +99,7 @@ def test_a_broken_link_fails_the_build(tmp_path, monkeypatch):
     assert faults(tmp_path / "site") == []
 
 
-def test_a_page_in_no_part_is_told(tmp_path, monkeypatch):
+def test_a_page_in_no_part_is_reported(tmp_path, monkeypatch):
     monkeypatch.setattr(staging, "PARTS", {"The project": ("CHANGELOG.md",)})
     with pytest.raises(ValueError, match="in no part of the site"):
         stage(tmp_path / "source")

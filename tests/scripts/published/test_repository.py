@@ -61,7 +61,7 @@ def test_zips_of_this_version_are_listed(tmp_path, packages):
         (BLENDER.format(python=sys.executable, first=1), f"Blender left raybatch-{VERSION}-linux_x64.zip out of"),
     ],
 )
-def test_what_went_wrong_is_told(program, complaint, tmp_path, packages):
+def test_what_went_wrong_is_reported(program, complaint, tmp_path, packages):
     done = make(tmp_path, packages, program if program.startswith("/") else blender(tmp_path, program))
     assert done.returncode == 1 and "Traceback" not in done.stderr
     assert done.stderr.startswith("repository.py: error: ") and complaint in done.stderr

@@ -79,7 +79,7 @@ def make(tmp_path, version):
 
 @pytest.fixture
 def address(tmp_path):
-    """Of a server of the folder `repository`."""
+    """The address of a server of the folder `repository`."""
     (tmp_path / "repository").mkdir()
 
     class Quiet(http.server.SimpleHTTPRequestHandler):

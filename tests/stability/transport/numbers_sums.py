@@ -88,10 +88,10 @@ def largest_sums(bench: Bench) -> Outcome:
 @wp.kernel(**KERNEL_OPTIONS)
 def _place_kernel(work: TileWork, numbers: wp.array(dtype=wp.uint32), found: wp.array2d(dtype=wp.int64)):
     i = wp.tid()
-    where = pixel_sample(work, numbers[i])
-    found[i, 0] = wp.int64(where.x)
-    found[i, 1] = wp.int64(where.y)
-    found[i, 2] = wp.int64(where.sample)
+    pixel = pixel_sample(work, numbers[i])
+    found[i, 0] = wp.int64(pixel.x)
+    found[i, 1] = wp.int64(pixel.y)
+    found[i, 2] = wp.int64(pixel.sample)
 
 
 @case(

@@ -32,7 +32,7 @@ def by_general_kernels() -> Iterator[None]:
 
 
 def choose_general(features: SceneFeatures, setting: str, device: wp.Device) -> TierChoice:
-    """As `choose_tier`, but general kernels where there are any, and no warning where there are none.
+    """The tier that `choose_tier` gives, but general kernels where there are any, and no warning where there are none.
 
     Those of independent samples, which no user has, are compiled once for all tests.
     """
@@ -46,7 +46,7 @@ def choose_general(features: SceneFeatures, setting: str, device: wp.Device) -> 
 
 
 def independent_features() -> SceneFeatures:
-    """Those of all scenes without shader programs, whose code takes most of the time, with independent samples."""
+    """Features of all scenes without shader programs, whose code takes most of the time, with independent samples."""
     return dataclasses.replace(
         general_features(wp.get_device("cpu")),
         programs=ProgramFeatures(),

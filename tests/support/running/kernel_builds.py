@@ -21,7 +21,7 @@ class Builds:
 
     @property
     def seconds(self) -> float:
-        """Those of processors, with compilers that run in processes of their own."""
+        """Seconds of processors, with compilers that run in processes of their own."""
         compiler = sys.modules.get("raybatch_addon.core.device.compiler")
         return self.own_seconds + (compiler.processor_seconds if compiler else 0.0)
 

@@ -24,7 +24,7 @@ def pytest_addoption(parser):
 
 
 def processor_seconds() -> dict[str, float]:
-    """Of this process, of the processes that it started and waited for, and of compiling here."""
+    """Seconds of this process, of the processes that it started and waited for, and of compiling here."""
     times = os.times()
     return {
         "here": times.user + times.system,

@@ -39,7 +39,7 @@ class MeshPart(NamedTuple):
 
     @property
     def span(self) -> slice:
-        """Its triangles among all."""
+        """The part's triangles among all."""
         return slice(self.triangle_first, self.triangle_first + self.triangle_count)
 
 

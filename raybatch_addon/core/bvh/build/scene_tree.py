@@ -134,8 +134,8 @@ def refit_moved(
     moved: Sequence[int],
     device: wp.Device,
 ) -> bool:
-    """As `refit_scene_tree` for triangles alone, whose arrays `flat` may lack; False where a tree should be built anew,
-    after which `built` is of no frame.
+    """Refit like `refit_scene_tree`, for triangles alone, whose arrays `flat` may lack; False where a tree should be
+    built anew, after which `built` is of no frame.
     """
     start = time.perf_counter()
     trees = MeshTrees(flat, geometry, device, built.layout, built.splits_moving)

@@ -29,7 +29,7 @@ class NoStore:
 
 
 class PackedPage(NamedTuple):
-    """What is known of a page that is stored."""
+    """Sizes and position of a page that is stored."""
 
     treelet_end: int  # treelets of this page and of all before
     node_byte: int  # first byte in the store: of the segment of nodes

@@ -24,7 +24,7 @@ from .tables import PageTables
 
 @dataclass(frozen=True)
 class Resident:
-    """On the device."""
+    """The part of the scene that stays on the device."""
 
     tree: Tree
     of_node: wp.array  # as `Treelets`
@@ -78,7 +78,7 @@ def _deform(tables: PageTables, flat: FlatGeometry, layout: Layout) -> tuple[np.
     """Units of one step: of those at the top nodes of each chunk, and of each treelet; 0 where vertices do not move."""
     steps = np.array([len(flat.motion.steps.get(part.mesh, ((),))[0]) for part in mesh_parts(flat)])
     steps = np.repeat(steps, np.diff(tables.chunk_first))  # of each chunk, 0 or more than 1
-    # of each treelet, up to the next one's or the end of its page's
+    # triangles of each treelet, up to the next one's or the end of its page's
     page, unit = tables.treelet_page, 4 * layout.triangle_words
     first = tables.treelet_triangle // unit
     end = tables.page_units[page]

@@ -164,7 +164,7 @@ class HostStore:
         self._blocks, self._ends, self._used = [], [], 0
 
     def at(self, first: int, size: int) -> wp.array:
-        """So many bytes of a page from byte `first` of the store on."""
+        """A view of `size` bytes of a page, from byte `first` of the store on."""
         i = int(np.searchsorted(self._ends, first, side="right"))
         start = first - (self._ends[i] - self._blocks[i].size)
         return self._blocks[i][start : start + size]

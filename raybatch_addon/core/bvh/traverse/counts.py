@@ -1,4 +1,4 @@
-"""What traversals count, if they are compiled with counters.
+"""Counters of traversals, for those that are compiled with them.
 
 A tracer that lets rays wait works on a ray in several launches: the first sets its counts to 0, each adds to them, and
 they hold when the ray is finished.

@@ -1,4 +1,4 @@
-"""What traversals are made of where instances and vertices move."""
+"""Headers of traversals for instances and vertices that move."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What traversals of the own trees are compiled for."""
+"""Options that traversals of the own trees are compiled for."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ INTERLEAVE = 16
 
 @dataclass(frozen=True, kw_only=True)
 class TraversalOptions:
-    """What whole trees and cut ones have in common. None of it changes a hit."""
+    """Options that the traversals of whole trees and of cut ones have in common. None of them changes a hit."""
 
     instancing: bool  # a top level over many entries, instead of one entry in world space that every ray sees
     motion: bool = False  # instances and vertices move while rays are on their way; with instancing
@@ -38,7 +38,7 @@ class TraversalOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class TraceOptions(TraversalOptions):
-    """What the traversal of whole trees is compiled for."""
+    """Options that the traversal of whole trees is compiled for."""
 
     any_hit: bool  # whether anything before `t_max` is asked for, instead of the closest hit
     leaf_groups: int = 2  # QUANTISED: groups of triangles that may wait while nodes are visited, 1 or 2
@@ -52,7 +52,7 @@ class TraceOptions(TraversalOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class VisitOptions(TraversalOptions):
-    """What a task on cut trees is compiled for."""
+    """Options that a task on cut trees is compiled for."""
 
     task: VisitTask
     interlocked: bool = False  # in TOP, new rays are taken only when all that are carried have stopped

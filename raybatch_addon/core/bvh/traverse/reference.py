@@ -165,7 +165,7 @@ def build_reference(
         # each tree reads its own slice; vertices are shared by all of them
         indices = wp.array(flat.triangles[first : first + count].reshape(-1), dtype=int, device=device)
         keep.append(indices)
-        # of Warp's builders on CUDA this one's trees are fastest to trace
+        # this builder's trees are the fastest to trace of those that Warp builds on CUDA
         fastest = {"bvh_constructor": "cubql", "bvh_leaf_size": 1} if device.is_cuda else {}
         meshes.append(wp.Mesh(points=positions, indices=indices, **fastest))
         return meshes[-1]

@@ -9,9 +9,9 @@ auto class_of = [&](int state, int slot) {
 const bool mine = thread < n;
 int from = -1, to = -1;
 if (mine) {
-    const int slot = taken.slots.data[thread], state = taken.locations.data[thread], old = waiting.where.data[slot];
+    const int slot = taken.slots.data[thread], state = taken.locations.data[thread], old = waiting.location.data[slot];
     if (state != old) {
-        waiting.where.data[slot] = state;
+        waiting.location.data[slot] = state;
         from = class_of(old, slot);
         to = class_of(state, slot);
     }
@@ -25,9 +25,9 @@ same = __match_any_sync(0xffffffffu, to);
 if (to >= 0 && __ffs(same) - 1 == lane) atomicAdd(tally + to, __popc(same));
 #else
 for (int i = 0; i < n; ++i) {
-    const int slot = taken.slots.data[i], state = taken.locations.data[i], old = waiting.where.data[slot];
+    const int slot = taken.slots.data[i], state = taken.locations.data[i], old = waiting.location.data[slot];
     --waiting.tally.data[class_of(old, slot)];
     ++waiting.tally.data[class_of(state, slot)];
-    waiting.where.data[slot] = state;
+    waiting.location.data[slot] = state;
 }
 #endif

@@ -28,15 +28,15 @@ for (long long base = begin; base < end; base += SLOTS_A_TURN) {
     }
 }
 #else
-const int n = waiting.where.shape[0], capacity = taken.slots.shape[0];
+const int n = waiting.location.shape[0], capacity = taken.slots.shape[0];
 int first = 0, second = 0;
 for (int i = 0; i < n && first < capacity; ++i) {
-    const int state = waiting.where.data[i];
+    const int state = waiting.location.data[i];
     if (is_first(state, i)) write_ray(first++, i, state);
 }
 const int most = second_most < capacity - first ? second_most : capacity - first;
 for (int i = 0; i < n && second < most; ++i) {
-    const int state = waiting.where.data[i];
+    const int state = waiting.location.data[i];
     if (is_second(state, i)) write_ray(first + second++, i, state);
 }
 write_counts(first, second);

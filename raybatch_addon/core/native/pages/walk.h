@@ -3,13 +3,13 @@
 #if defined(__CUDA_ARCH__)
 const int lane = thread & 31, warp = thread >> 5;
 const long long begin = (long long)warp * waiting.chunk;
-const long long all = waiting.where.shape[0], end = begin + waiting.chunk < all ? begin + waiting.chunk : all;
+const long long all = waiting.location.shape[0], end = begin + waiting.chunk < all ? begin + waiting.chunk : all;
 auto four = [&](long long i) {
     int4 states = make_int4(IDLE, IDLE, IDLE, IDLE);
-    if (i + 3 < end) return *(const int4*)(waiting.where.data + i);
-    if (i < end) states.x = waiting.where.data[i];
-    if (i + 1 < end) states.y = waiting.where.data[i + 1];
-    if (i + 2 < end) states.z = waiting.where.data[i + 2];
+    if (i + 3 < end) return *(const int4*)(waiting.location.data + i);
+    if (i < end) states.x = waiting.location.data[i];
+    if (i + 1 < end) states.y = waiting.location.data[i + 1];
+    if (i + 2 < end) states.z = waiting.location.data[i + 2];
     return states;
 };
 int4 next = four(begin + 4 * lane);

@@ -13,5 +13,5 @@ auto write_counts = [&](int first, int second) {
 auto write_ray = [&](int rank, int slot, int state) {
     taken.slots.data[rank] = slot;
     if (READY) taken.locations.data[rank] = state;
-    else waiting.where.data[slot] = IDLE;
+    else waiting.location.data[slot] = IDLE;
 };

@@ -170,7 +170,7 @@ def new_closure(kind: int, weight: wp.vec3) -> ClosureRecord:
 
 @wp.struct
 class MaterialRecord:
-    """What is known of a material before it is shaded."""
+    """Facts about a material that are known before it is shaded."""
 
     closure_first: int  # it has the closures [closure_first, closure_end), but for those that its program makes
     closure_end: int

@@ -1,4 +1,4 @@
-"""What the choice among emitters reads."""
+"""The arrays that the choice among emitters reads."""
 
 import warp as wp
 
@@ -26,7 +26,8 @@ FIELDS = (
 
 @wp.struct
 class LightLinks:
-    """What emitters light, and the groups that they are in; arrays that a scene does not need have no entries.
+    """Receivers of emitters' light, and the groups that emitters are in; arrays that a scene does not need have no
+    entries.
 
     Owners of light are lights without mesh, then instances, and last the world.
     """
@@ -42,7 +43,7 @@ class LightLinks:
 
 @wp.struct
 class ChoiceTable:
-    """What the choice among emitters reads: a tree over all that have a place, and what is distant.
+    """The arrays that the choice among emitters reads: a tree over all that have a place, and the distant ones.
 
     A block holds up to `BLOCK_WIDTH` nodes that lie below one; nodes are numbered through all blocks. The first block
     is the top; it is there in any case.

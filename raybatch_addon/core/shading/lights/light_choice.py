@@ -121,7 +121,7 @@ def _only_pdf(table: LightTable, point: LitPoint, emitter: int) -> float:
 
 @dataclass(frozen=True)
 class ChoiceFeatures:
-    """What the choice is specialised on; the fields are those of `SceneFeatures`."""
+    """Features that the choice is specialised on; the fields are those of `SceneFeatures`."""
 
     lights: tuple[LightKind, ...]
     light_choice: bool

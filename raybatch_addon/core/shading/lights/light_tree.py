@@ -21,7 +21,7 @@ _ANGLE_ERROR = wp.constant(5.0e-4)
 
 @wp.struct
 class LightNode:
-    """What shines below a node: one emitter, or two nodes. Units as of `FIELDS`."""
+    """A node of the light tree, with all that shines below it: one emitter, or two nodes. Units as of `FIELDS`."""
 
     centre: wp.vec3
     radius: float

@@ -1,4 +1,4 @@
-"""What a random number belongs to: a pixel, a sample of it, and a decision of its path.
+"""Keys of random numbers: a pixel, a sample of it, and a decision of its path.
 
 A number is a pure function of (seed, pixel of the full frame, sample, dimension set): threads, tiles and the order of
 work never enter. A *dimension set* is one decision of a path (see the constants). Each set is a sequence of its own

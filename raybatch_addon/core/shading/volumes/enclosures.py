@@ -34,7 +34,7 @@ _PARALLEL = 0.1
 _REACHES = 2.0
 # Enclosures that are looked up together
 NEAR_MOST = 8
-# Of so many surfaces it is not asked which are near to others
+# Surfaces at most among which those near to others are looked for
 _PAIRED_MOST = 4096
 
 

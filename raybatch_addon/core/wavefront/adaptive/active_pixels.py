@@ -42,7 +42,7 @@ ADAPTIVE_KERNELS = (sample_noise_kernel, row_sums_kernel, stop_kernel, flag_acti
 
 @dataclass(frozen=True)
 class HalfPictures:
-    """What both halves show of a rectangle."""
+    """The pictures of both halves in a rectangle."""
 
     rectangle: Rectangle
     colors: tuple[wp.array, wp.array]  # RGBA by half, vec4, shape [pixels]

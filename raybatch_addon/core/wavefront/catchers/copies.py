@@ -1,4 +1,4 @@
-"""What stages know of copies of paths, which see shadow catchers alone."""
+"""Facts that stages need about copies of paths, which see shadow catchers alone."""
 
 from __future__ import annotations
 

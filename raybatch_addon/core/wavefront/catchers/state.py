@@ -1,4 +1,4 @@
-"""What is kept of a path that has met a shadow catcher, while it goes on from there again and again."""
+"""The state of a path that has met a shadow catcher, kept while it goes on from there again and again."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from ...scene.passes import (
 
 
 class Life(IntEnum):
-    """What a path is traced for, one after another in its slot."""
+    """The purpose that a path is traced for, one after another in its slot."""
 
     NONE = 0  # it has met no catcher before it scattered
     MAIN = 1  # it has

@@ -1,4 +1,4 @@
-"""What a kernel of estimates is launched for."""
+"""The arguments that a kernel of estimates is launched with."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ...shading.lights.world import WorldTable
 
 
 class Estimate(IntEnum):
-    """What is estimated, as `EstimateWork.estimate` has it."""
+    """The subject of an estimate, as `EstimateWork.estimate` has it."""
 
     TRIANGLES = 0
     WORLD = 1

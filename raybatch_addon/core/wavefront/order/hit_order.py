@@ -32,7 +32,7 @@ _BYTES_PER_HIT = 16
 
 
 class HitKey(Enum):
-    """What hits are sorted by, with the bits of the key."""
+    """The key that hits are sorted by; its value is its bits."""
 
     TRIANGLE = 16
     MATERIAL = 8
@@ -42,7 +42,7 @@ class HitKey(Enum):
 class HitPart:
     """A part of a list of hits, to be sorted."""
 
-    first: int  # place of its first hit in the list
+    first: int  # index of its first hit in the list
     shift: int  # bits of a triangle's number that its key leaves out
     count: wp.array(dtype=int)  # hits in it, shape [1]
     keys: wp.array(dtype=wp.uint32)
@@ -60,13 +60,13 @@ def _key_kernel(key_of: wp.Function, bits: int) -> wp.Kernel:
         part: HitPart,
     ):
         i = wp.tid()
-        place = part.first + i
+        index = part.first + i
         if i == 0:
-            part.count[0] = wp.max(0, count[0] - place)
+            part.count[0] = wp.max(0, count[0] - index)
         key = wp.uint32(wp.static((1 << bits) - 1))
         slot = int(0)
-        if place < count[0]:
-            slot = slots[place]
+        if index < count[0]:
+            slot = slots[index]
             key = key_of(geometry, records, rays, slot, part.shift)
         part.keys[i] = key
         part.slots[i] = slot
@@ -92,7 +92,7 @@ def _material_key(
 
 # Kernels (geometry, records, rays, slots, count, part): keys and slots of the hits at `part.first` and behind it among
 # the first `count[0]` of `slots`. What lies behind these gets the largest key, and stays behind them as the sort is
-# stable. One thread for each place of the part.
+# stable. One thread for each entry of the part.
 KEY_KERNELS = {
     HitKey.TRIANGLE: _key_kernel(_triangle_key, HitKey.TRIANGLE.value),
     HitKey.MATERIAL: _key_kernel(_material_key, HitKey.MATERIAL.value),

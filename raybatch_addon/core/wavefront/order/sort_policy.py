@@ -49,7 +49,7 @@ class _Trial:
 
 @dataclass
 class _Decision:
-    """What is known of one class of rays."""
+    """The state of the decision for one class of rays."""
 
     next_trial: int  # number of begun paths at which both ways are tried again
     _: KW_ONLY

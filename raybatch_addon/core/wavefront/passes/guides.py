@@ -1,4 +1,4 @@
-"""What guides a denoiser: albedo, normal and depth of what a pixel shows, seen through mirrors and glass.
+"""Guides of a denoiser: albedo, normal and depth of what a pixel shows, seen through mirrors and glass.
 
 As in Cycles (`kernel/film/denoising_passes.h`): closures that are rough count as diffuse. Where they are more than a
 quarter of a surface, by how often they are sampled, albedo and normal are those of this surface, and the path notes no

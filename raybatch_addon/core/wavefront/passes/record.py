@@ -97,16 +97,16 @@ def record_background(work: TileWork, paths: Paths, film: FilmTile, path: int):
     """A path left the scene before it scattered: indices are those of a surface that was transparent no more."""
     passes = paths.passes[0]
     if passes.settled.shape[0] > 0 and paths.passed[path] != 0 and passes.settled[path] == 0:
-        where = pixel_sample(work, paths.item[path])
-        if where.sample == wp.uint32(0):
+        pixel = pixel_sample(work, paths.item[path])
+        if pixel.sample == wp.uint32(0):
             if film.object_index.shape[0] > 0:
-                film.object_index[where.pixel] = 0.0
+                film.object_index[pixel.index] = 0.0
             if film.material_index.shape[0] > 0:
-                film.material_index[where.pixel] = 0.0
+                film.material_index[pixel.index] = 0.0
             if film.depth.shape[0] > 0:
-                film.depth[where.pixel] = wp.static(DEPTH_OF_NOTHING)
+                film.depth[pixel.index] = wp.static(DEPTH_OF_NOTHING)
             if film.position.shape[0] > 0:
-                film.position[where.pixel] = wp.vec3(0.0, 0.0, 0.0)
+                film.position[pixel.index] = wp.vec3(0.0, 0.0, 0.0)
 
 
 @functools.cache
@@ -139,16 +139,16 @@ def make_record_surface(features: ClosureFeatures, transparency: bool, catchers:
             if passes.settled.shape[0] > 0 and v.passed > 0:
                 settled = passes.settled[path]
         if settled == 0:
-            if v.where.sample == wp.uint32(0) and mean_channel(alpha) > 0.0:  # nobody sees what lets all light pass
+            if v.pixel.sample == wp.uint32(0) and mean_channel(alpha) > 0.0:  # nobody sees what lets all light pass
                 if film.object_index.shape[0] > 0:
-                    film.object_index[v.where.pixel] = passes.inputs.object_index[instance]
+                    film.object_index[v.pixel.index] = passes.inputs.object_index[instance]
                 if film.material_index.shape[0] > 0:
-                    film.material_index[v.where.pixel] = passes.inputs.material_index[v.surface.material]
+                    film.material_index[v.pixel.index] = passes.inputs.material_index[v.surface.material]
                 if wp.static(transparency):
                     if film.depth.shape[0] > 0:
-                        film.depth[v.where.pixel] = depth_of(data, v.surface.position)
+                        film.depth[v.pixel.index] = depth_of(data, v.surface.position)
                     if film.position.shape[0] > 0:
-                        film.position[v.where.pixel] = v.surface.position
+                        film.position[v.pixel.index] = v.surface.position
             if mean_channel(alpha) >= passes.inputs.alpha_threshold:
                 settled = 1
                 if wp.static(transparency):
@@ -167,7 +167,7 @@ def make_record_surface(features: ClosureFeatures, transparency: bool, catchers:
         if film.mattes.identity.shape[0] > 0:
             weight = mean_channel(throughput) * mean_channel(alpha)
             if weight > 0.0:
-                add_mattes(film.mattes, passes.inputs, v.where.pixel, instance, v.surface.material, weight)
+                add_mattes(film.mattes, passes.inputs, v.pixel.index, instance, v.surface.material, weight)
         if passes.mist >= 0:
             seen = clear_view(data, passes.inputs, v.surface.position) * mean_channel(wp.cw_mul(throughput, alpha))
             passes.values[passes.mist, path] = passes.values[passes.mist, path] + seen

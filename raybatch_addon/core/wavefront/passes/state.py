@@ -1,4 +1,4 @@
-"""What paths keep for the passes that are summed beside Combined and Normal, and what these read of the scene."""
+"""Values that paths keep for passes that are summed beside Combined and Normal, and what these read of the scene."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from .vectors import VectorInputs, upload_vectors
 
 @wp.struct
 class PassInputs:
-    """What passes read of the scene; arrays that no pass needs are empty."""
+    """Arrays of the scene that passes read; those that no pass needs are empty."""
 
     object_index: wp.array(dtype=float)  # of each instance's object
     material_index: wp.array(dtype=float)

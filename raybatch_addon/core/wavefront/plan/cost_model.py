@@ -1,4 +1,4 @@
-"""What a ray is expected to cost, batched and not: a small model with measured constants.
+"""The expected cost of a ray, batched and not: a small model with measured constants.
 
 Tracing grows with how far the tree is beyond the cache that rays share: every doubling costs the same. Batching keeps
 each treelet in the cache, but each visit to one costs a passage through a queue and the way back through the top level.

@@ -24,7 +24,7 @@ from .cost_model import batching_cost, costs_of, split_seconds, unbatched_cost
 # the tree gets the second, and rays the rest
 WHOLE_SHARE = 0.85
 PAGED_SHARE = 0.5
-# Of the host's free memory that pages may take
+# Share of the host's free memory that pages may take
 HOST_SHARE = 0.7
 # The queues of a GPU are swept bucket by bucket; a treelet of a CPU should fit its core's cache
 TREELET_BYTES = {Layout.BOXES: 1 << 20, Layout.QUANTISED: 8 << 20}
@@ -41,7 +41,7 @@ class Method(enum.Enum):
 
 @dataclass(frozen=True)
 class Choice:
-    """What was chosen for a setting that was left to RayBatch."""
+    """The value chosen for a setting that was left to RayBatch."""
 
     value: Any
     why: str
@@ -49,7 +49,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class TracingPlan:
-    """What a render does."""
+    """The plan of a render: how its rays meet the scene, and with what memory."""
 
     method: Method
     _: KW_ONLY
@@ -63,7 +63,7 @@ class TracingPlan:
 
 
 def report_of(choices: dict[str, Choice]) -> dict[str, dict[str, Any]]:
-    """For the statistics."""
+    """The plan as the statistics hold it."""
     return {name: {"value": choice.value, "why": choice.why} for name, choice in choices.items()}
 
 
@@ -74,7 +74,7 @@ def cut_rule(plan: TracingPlan, settings: RenderSettings) -> CutRule:
 
 @dataclass(frozen=True)
 class Memory:
-    """What there is, and what a scene takes when it is kept whole [bytes]."""
+    """The memory that there is, and that a scene takes when it is kept whole [bytes]."""
 
     needed: int  # geometry, trees and their build, on the device
     free: int  # of the device

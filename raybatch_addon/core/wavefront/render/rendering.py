@@ -325,5 +325,5 @@ class Rendering:
 
 
 def _colors(film: Film) -> np.ndarray:
-    """Its picture without alpha, shape [height, width, 3]."""
+    """The film's picture without alpha, shape [height, width, 3]."""
     return film.passes["Combined"][..., :3]

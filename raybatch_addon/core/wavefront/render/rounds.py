@@ -151,7 +151,7 @@ class RoundPolicy:
     def _end_by_error(self, done: int) -> int:
         end = max(ERROR_SAMPLES_LEAST, math.ceil(done * GROWTH))
         if self._error is not None:
-            # of independent samples the squared error falls with their number; if it falls faster, one round is too
+            # the squared error of independent samples falls with their number; if it falls faster, one round is too
             # long by little
             needed = self._error / self.error_target * done
             if needed < end:

@@ -1,4 +1,4 @@
-"""What the workers of a render did, for its statistics."""
+"""Sums over the workers of a render, for its statistics."""
 
 from __future__ import annotations
 

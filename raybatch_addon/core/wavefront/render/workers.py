@@ -25,9 +25,9 @@ from ..tracers.choose import tracer_bytes_per_path
 
 # Share of the free memory that paths may take
 PATH_MEMORY_SHARE = 0.6
-# Of samples that are set aside on their way to the film [bytes]
+# Size of samples that are set aside on their way to the film [bytes]
 SPILL_BYTES = 1 << 19
-# Of each pixel at a look at its noise: colors of both halves, noise and its sums, and lists of pixels [bytes]
+# Memory of each pixel at a look at its noise: colors of both halves, noise and its sums, and lists of pixels [bytes]
 LOOK_BYTES = 64
 
 

@@ -41,7 +41,7 @@ _DENSITY_LEAST = 8.0
 
 @dataclass(frozen=True)
 class AskFeatures:
-    """What asking is specialised on; the fields are those of `SceneFeatures`."""
+    """Features that asking is specialised on; the fields are those of `SceneFeatures`."""
 
     programs: ProgramFeatures
     request_program: ProgramFeatures
@@ -117,7 +117,7 @@ def make_ask(features: AskFeatures) -> wp.Function:
                 stack[wp.static(FOOTPRINT)] = 0.0
                 if cell > 0.0:
                     stack[wp.static(FOOTPRINT)] = wp.min(width * width / cell, wp.static(3e38))
-                stack[wp.static(CHANCE)] = sample_1d(v.key, v.where.sample, v.dimension + wp.uint32(TEXTURE))
+                stack[wp.static(CHANCE)] = sample_1d(v.key, v.pixel.sample, v.dimension + wp.uint32(TEXTURE))
             stack[first + wp.static(KNOWN)] = float(known)
             stack[first + wp.static(ASKED)] = 0.0
             run(data.nodes, stack, program, point, closures)

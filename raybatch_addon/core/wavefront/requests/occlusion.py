@@ -48,7 +48,7 @@ _ELSEWHERE = int(Status.RAY_NEW | Status.INSIDE)
 
 @dataclass(frozen=True, kw_only=True)
 class OcclusionFeatures:
-    """What the stage is specialised on; the fields are those of `SceneFeatures`."""
+    """Features that the stage is specialised on; the fields are those of `SceneFeatures`."""
 
     closures: tuple[ClosureKind, ...]
     programs: ProgramFeatures
@@ -134,15 +134,15 @@ def make_occlusion(features: OcclusionFeatures) -> wp.Function:
         normal: wp.vec3,
     ):
         """The ray from `surface`."""
-        where = pixel_sample(work, paths.item[path])
-        key = pixel_key(limits.seed, wp.uint32(where.x), wp.uint32(where.y), wp.uint32(work.frame_width))
+        pixel = pixel_sample(work, paths.item[path])
+        key = pixel_key(limits.seed, wp.uint32(pixel.x), wp.uint32(pixel.y), wp.uint32(work.frame_width))
         passed = int(0)
         if wp.static(features.transparency):
             passed = paths.passed[path] & wp.static(SHADOW_PASS - 1)
         dimension = wp.uint32(wp.static(FIRST_DIMENSION)) + wp.uint32(
             passed * wp.static(REQUESTS_MOST) + wp.static(REQUESTS_MOST - 1)
         )
-        u = sample_2d(key, where.sample, dimension)
+        u = sample_2d(key, pixel.sample, dimension)
         probe = occlusion_probe(surface, normal, paths.passes[0].inputs.occlusion_distance, u)
         hold(requests, rays, path)
         requests.phase[path] = wp.static(int(Phase.PASS))

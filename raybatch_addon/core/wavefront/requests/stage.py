@@ -36,7 +36,7 @@ _PASSED_MOST = 4096
 
 @dataclass(frozen=True)
 class RequestFeatures(VertexFeatures, AskFeatures):
-    """What the stage is specialised on; the fields are those of `SceneFeatures`."""
+    """Features that the stage is specialised on; the fields are those of `SceneFeatures`."""
 
 
 @functools.cache
@@ -57,15 +57,15 @@ def make_request(features: RequestFeatures) -> wp.Function:
     ) -> Probe:
         """The ray of the sample under way."""
         asked = requests.asked[path]
-        where = pixel_sample(work, paths.item[path])
-        key = pixel_key(limits.seed, wp.uint32(where.x), wp.uint32(where.y), wp.uint32(work.frame_width))
+        pixel = pixel_sample(work, paths.item[path])
+        key = pixel_key(limits.seed, wp.uint32(pixel.x), wp.uint32(pixel.y), wp.uint32(work.frame_width))
         number = bounce_of(paths.status[path])
         if wp.static(features.transparency):
             number += paths.passed[path] & wp.static(SHADOW_PASS - 1)
         dimension = wp.uint32(wp.static(FIRST_DIMENSION)) + wp.uint32(
             number * wp.static(REQUESTS_MOST) + requests.known[path]
         )
-        index = where.sample * wp.uint32(asked >> SAMPLES_SHIFT) + wp.uint32(requests.turn[path])
+        index = pixel.sample * wp.uint32(asked >> SAMPLES_SHIFT) + wp.uint32(requests.turn[path])
         u = sample_2d(key, index, dimension)
         if (asked & ROUNDED) != 0:
             return edge_probe(surface.position, surface.geometric_normal, requests.distance[path], u)

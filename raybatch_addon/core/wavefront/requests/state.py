@@ -1,4 +1,4 @@
-"""What is kept of a path while rays are traced for the program of its surface."""
+"""The state of a path while rays are traced for the program of its surface."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is kept of a scene's geometry and tree for the next frame."""
+"""A scene's geometry and tree, as far as they are kept for the next frame."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ from .moved_instances import Placed, follow_moved
 from .unchanged import Last
 from .world_cache import WorldCache
 
-# Of a device's free memory, what images may take: geometry, rays and the film need the rest
+# Share of a device's free memory that images may take: geometry, rays and the film need the rest
 IMAGE_SHARE = 0.5
 
 
@@ -102,7 +102,7 @@ class Kept:
 
 @dataclass(frozen=True, kw_only=True)
 class GeometryRequest:
-    """What is wanted of a scene's geometry."""
+    """A request for a scene's geometry."""
 
     settings: RenderSettings
     plan: TracingPlan

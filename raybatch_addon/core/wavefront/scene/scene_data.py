@@ -1,4 +1,4 @@
-"""What shading kernels read of a scene."""
+"""The data of a scene that shading kernels read."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ...shading.lights.light_table import LightTable
 
 @wp.struct
 class SceneData:
-    """What shading reads."""
+    """The data that shading reads."""
 
     geometry: Geometry
     materials: MaterialTable

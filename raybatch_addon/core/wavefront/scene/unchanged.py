@@ -1,4 +1,4 @@
-"""What follows from a scene's frozen arrays, kept for the next render where it has the same ones."""
+"""Data derived from a scene's frozen arrays, kept for the next render where it has the same ones."""
 
 from __future__ import annotations
 

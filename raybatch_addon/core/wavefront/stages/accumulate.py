@@ -76,7 +76,7 @@ def _accumulate_kernel(layout: ChannelLayout) -> wp.Kernel:
         path = slots[i]
         if paths.status[path] == 0:
             return  # added by the launch before
-        pixel = pixel_sample(work, paths.item[path]).pixel
+        pixel = pixel_sample(work, paths.item[path]).index
         channels = others_first
         if wp.static(has_others):
             channels = others_first + paths.passes[0].values.shape[0]

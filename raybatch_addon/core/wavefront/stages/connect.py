@@ -64,7 +64,7 @@ def make_connect(clamping: bool, splits_light: bool, light_groups: bool = False)
 
 @dataclass(frozen=True, kw_only=True)
 class ConnectFeatures:
-    """What light that arrives is specialised on; the fields are those of `SceneFeatures`."""
+    """Features that light that arrives is specialised on; the fields are those of `SceneFeatures`."""
 
     programs: ProgramFeatures
     world_program: ProgramFeatures
@@ -151,7 +151,7 @@ def make_arrived(features: ConnectFeatures) -> wp.Function:
 
 @functools.cache
 def make_connect_program(features: ConnectFeatures) -> wp.Function:
-    """As `connect`, where programs say what light there is."""
+    """The stage's function like `connect`, where programs say what light there is."""
     arrived = make_arrived(features)
     add_light = make_add_light(features.splits_light, features.light_groups)
 

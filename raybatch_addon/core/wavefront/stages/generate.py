@@ -29,7 +29,7 @@ NEW_PATH = int(Status.ALIVE | Status.RAY_OUT) | CAMERA_RAY << VISIBILITY_SHIFT
 
 @dataclass(frozen=True, kw_only=True)
 class GenerateFeatures:
-    """What the stage is specialised on."""
+    """Features that the stage is specialised on."""
 
     camera: CameraKind | None  # None: any
     depth_of_field: bool
@@ -65,11 +65,11 @@ def pixel_in_blocks(number: int, width: int, height: int) -> wp.vec2i:
 
 @wp.struct
 class PixelSample:
-    """What an item stands for."""
+    """The sample of a pixel that an item stands for."""
 
     x: int  # column and row in the frame
     y: int
-    pixel: int  # within the tile, row by row from its bottom left
+    index: int  # of the pixel within the tile, row by row from its bottom left
     sample: wp.uint32  # index of the pixel's sample
 
 
@@ -95,7 +95,7 @@ def pixel_sample(work: TileWork, number: wp.uint32) -> PixelSample:
     result = PixelSample()
     result.x = work.x + place[0]
     result.y = work.y + place[1]
-    result.pixel = place[1] * work.width + place[0]
+    result.index = place[1] * work.width + place[0]
     result.sample = wp.uint32(work.sample_first + sample)
     return result
 
@@ -109,7 +109,7 @@ def counted_kernel(work: TileWork, paths: Paths, bounce: wp.array(dtype=int), pi
     if paths.status[path] == 0:
         return
     bounce[path] = bounce_of(paths.status[path])
-    pixel[path] = pixel_sample(work, paths.item[path]).pixel
+    pixel[path] = pixel_sample(work, paths.item[path]).index
 
 
 @wp.func
@@ -141,11 +141,11 @@ def make_begin_path(features: GenerateFeatures) -> wp.Function:
     def begin_path(
         work: TileWork, limits: PathLimits, camera: CameraData, paths: Paths, rays: Rays, path: int, number: wp.uint32
     ):
-        where = pixel_sample(work, number)
-        x = where.x
-        y = where.y
+        pixel = pixel_sample(work, number)
+        x = pixel.x
+        y = pixel.y
         key = pixel_key(limits.seed, wp.uint32(x), wp.uint32(y), wp.uint32(work.frame_width))
-        index = where.sample
+        index = pixel.sample
         offset = sample_filter(work.filter_table, sample_2d(key, index, wp.uint32(FILTER)))
         lens = wp.vec2(0.5, 0.5)
         if wp.static(features.depth_of_field):

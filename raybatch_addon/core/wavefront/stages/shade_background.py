@@ -37,7 +37,7 @@ _ENDED, _INSIDE = int(Status.ENDED), int(Status.INSIDE)
 
 @dataclass(frozen=True, kw_only=True)
 class BackgroundFeatures:
-    """What the background stage is specialised on."""
+    """Features that the background stage is specialised on."""
 
     world: bool
     film_transparent: bool
@@ -205,9 +205,9 @@ def make_background(features: BackgroundFeatures) -> wp.Function:
                 record_background(work, paths, film, path)
         if wp.static(features.depth_pass):
             if bounce == 0 and film.depth.shape[0] > 0:
-                where = pixel_sample(work, paths.item[path])
-                if where.sample == wp.uint32(0) and film.depth[where.pixel] == 0.0:
-                    film.depth[where.pixel] = wp.static(DEPTH_OF_NOTHING)
+                pixel = pixel_sample(work, paths.item[path])
+                if pixel.sample == wp.uint32(0) and film.depth[pixel.index] == 0.0:
+                    film.depth[pixel.index] = wp.static(DEPTH_OF_NOTHING)
         paths.status[path] = status | wp.static(_ENDED)
 
     return background

@@ -52,7 +52,7 @@ _LONGEST = 1e30
 
 @dataclass(frozen=True)
 class WalkFeatures:
-    """What the stage is specialised on; the fields are those of `SceneFeatures`."""
+    """Features that the stage is specialised on; the fields are those of `SceneFeatures`."""
 
     instancing: bool
     smooth_normals: bool
@@ -140,8 +140,8 @@ def walk_kernel(features: WalkFeatures) -> wp.Kernel:
     ):
         """The next step, from `position`."""
         step = paths.walk.step[path] + 1
-        where = pixel_sample(work, paths.item[path])
-        key = pixel_key(limits.seed, wp.uint32(where.x), wp.uint32(where.y), wp.uint32(work.frame_width))
+        pixel = pixel_sample(work, paths.item[path])
+        key = pixel_key(limits.seed, wp.uint32(pixel.x), wp.uint32(pixel.y), wp.uint32(work.frame_width))
         dimension = walk_dimension(bounce_of(paths.status[path]) + passed, step)
         albedo = paths.walk.albedo[path]
         normal = paths.walk.normal[path]
@@ -149,12 +149,12 @@ def walk_kernel(features: WalkFeatures) -> wp.Kernel:
         medium = medium_of(paths.walk.extinction[path], albedo, paths.walk.g[path], step)
         diffusion = diffusion_length(albedo)
         stretching = float(1.0)
-        u = sample_2d(key, where.sample, dimension + wp.uint32(wp.static(_DIRECTION)))
-        if sample_1d(key, where.sample, dimension + wp.uint32(wp.static(_STRATEGY))) < medium.guided:
+        u = sample_2d(key, pixel.sample, dimension + wp.uint32(wp.static(_DIRECTION)))
+        if sample_1d(key, pixel.sample, dimension + wp.uint32(wp.static(_STRATEGY))) < medium.guided:
             cosine = guide_cosine(diffusion, guide_logarithm(diffusion), u[0])
             away = away_share(paths.walk.thickness[path], wp.dot(paths.walk.entry[path] - position, normal), diffusion)
             stretching = 1.0 - cosine / diffusion  # of either side alike
-            if sample_1d(key, where.sample, dimension + wp.uint32(wp.static(_SIDE))) < away:
+            if sample_1d(key, pixel.sample, dimension + wp.uint32(wp.static(_SIDE))) < away:
                 cosine = -cosine
             new = to_world(spherical_direction(cosine, wp.TAU * u[1]), tangent_of(normal), bitangent_of(normal), normal)
         else:
@@ -166,8 +166,8 @@ def walk_kernel(features: WalkFeatures) -> wp.Kernel:
             medium.extinction,
             stretching,
             channel_shares(paths.throughput[path], albedo),
-            sample_1d(key, where.sample, dimension + wp.uint32(wp.static(_CHANNEL))),
-            sample_1d(key, where.sample, dimension + wp.uint32(wp.static(_LENGTH))),
+            sample_1d(key, pixel.sample, dimension + wp.uint32(wp.static(_CHANNEL))),
+            sample_1d(key, pixel.sample, dimension + wp.uint32(wp.static(_LENGTH))),
         )
         paths.walk.phase[path] = phase_density(medium.g, wp.dot(direction, new))
         paths.walk.step[path] = step

@@ -1,4 +1,4 @@
-"""What a stage is launched for."""
+"""The arguments that a stage is launched with."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the integrator asks of a tracer, and the tracer that does not batch."""
+"""The interface that the integrator asks of a tracer, and the tracer that does not batch."""
 
 from __future__ import annotations
 

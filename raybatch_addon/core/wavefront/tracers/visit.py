@@ -57,7 +57,7 @@ def visit_stage(layout: Layout, options: VisitOptions, launch: Launch = Launch()
 
 
 class _Stage:
-    """What both have in common."""
+    """The common part of both visit stages."""
 
     def __init__(self, kernel: wp.Kernel):
         self._kernel = kernel

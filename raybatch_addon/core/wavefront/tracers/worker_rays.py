@@ -1,4 +1,4 @@
-"""What every tracer of a worker works on."""
+"""The rays that every tracer of a worker works on."""
 
 from __future__ import annotations
 

@@ -34,8 +34,8 @@ _POINTS = 8
 _MARGIN = 1.1
 # Flights along an edge of a cell at most: what is denser lets nothing through a small part of the cell
 _FLIGHTS_MOST = 4096.0
-# Of lines out of the middle of the world's volume to its end: cells, the optical depth of a cell below which there is
-# nothing, and that of a line from which on no light comes in
+# Lines go out of the middle of the world's volume to its end: their cells, the optical depth of a cell below which it
+# is empty, and that of a line from which on no light comes in
 _LINE_CELLS = 8
 _DIMS_LEAST, _DIMS_MOST = 1e-3, 7.0
 # Tiles of a grid whose voxels are looked at together
@@ -210,7 +210,7 @@ def _peaks(grid: Grid, low: np.ndarray, size: np.ndarray, cells: int) -> np.ndar
         values = tiles[first : first + _TILES_TOGETHER]
         if not is_scalar(grid):
             values = np.abs(values).max(-1)
-        # of a tile in one cell the largest value alone
+        # a tile that lies in one cell counts by its largest value alone
         ends = (corner[:, None] + (TILE - 1) * CUBE_CORNERS) @ to_object[:, :3].T + to_object[:, 3]
         in_cells = cell_of(ends)
         alone = (in_cells.min(1) == in_cells.max(1)).all(1)

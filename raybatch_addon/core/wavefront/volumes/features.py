@@ -1,4 +1,4 @@
-"""What the kernels of volumes are specialised on."""
+"""Features that the kernels of volumes are specialised on."""
 
 from __future__ import annotations
 

@@ -157,9 +157,9 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
             empty = empty or is_in_vacuum(paths, path, inside)
         number = int(volumes.state.segment[path])
         volumes.state.segment[path] = number + 1
-        where = pixel_sample(work, paths.item[path])
-        key = pixel_key(limits.seed, wp.uint32(where.x), wp.uint32(where.y), wp.uint32(work.frame_width))
-        stream = stream_of(key, where.sample, wp.uint32(number))
+        pixel = pixel_sample(work, paths.item[path])
+        key = pixel_key(limits.seed, wp.uint32(pixel.x), wp.uint32(pixel.y), wp.uint32(work.frame_width))
+        stream = stream_of(key, pixel.sample, wp.uint32(number))
         begin = ray_point(origin, direction, visibility_of(status), bounce, time_of(rays, path))
         scatters = bounce <= limits.bounce_max and volumes.state.scattered[path] <= volumes.bounce_max
         v = Vertex()
@@ -167,7 +167,7 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
         v.status = status & ~wp.static(CAME_BACK)
         v.bounce = bounce
         v.passed = passed
-        v.where = where
+        v.pixel = pixel
         v.key = key
         v.wo = -direction
         v.side = wp.uint32(VOLUME_SIDE)
@@ -202,15 +202,15 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
             else:
                 m = constant_medium(volumes, inside, begin, lobes)
                 u = wp.vec2(
-                    sample_1d(key, where.sample, dimension + wp.uint32(wp.static(CHANNEL))),
-                    sample_1d(key, where.sample, dimension + wp.uint32(wp.static(LENGTH))),
+                    sample_1d(key, pixel.sample, dimension + wp.uint32(wp.static(CHANNEL))),
+                    sample_1d(key, pixel.sample, dimension + wp.uint32(wp.static(LENGTH))),
                 )
                 u_lit = wp.vec2(0.0, 0.0)
                 seeks = seeks and wp.dot(throughput, m.scattering) > 0.0
                 if seeks:
                     u_lit = wp.vec2(
-                        sample_1d(key, where.sample, dimension + wp.uint32(wp.static(LIT_CHANNEL))),
-                        sample_1d(key, where.sample, dimension + wp.uint32(wp.static(LIT_LENGTH))),
+                        sample_1d(key, pixel.sample, dimension + wp.uint32(wp.static(LIT_CHANNEL))),
+                        sample_1d(key, pixel.sample, dimension + wp.uint32(wp.static(LIT_LENGTH))),
                     )
                     mean = wp.dot(scattering_shares(throughput, m.scattering, m.extinction), m.extinction)
                     sought = seek(data, paths, path, v, origin, sought_in_constant(mean, far))

@@ -1,4 +1,4 @@
-"""What kernels read of volumes, and which of them each path and its shadow ray are in."""
+"""The arrays that kernels read of volumes, and which of them each path and its shadow ray are in."""
 
 from __future__ import annotations
 

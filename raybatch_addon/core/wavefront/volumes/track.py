@@ -31,7 +31,7 @@ from .table import VolumeData
 FLIGHTS_MOST = 256
 # Flights of a shadow ray between two surfaces: what lies beyond them is taken to be empty
 _SHADOW_FLIGHTS_MOST = 1 << 16
-# Of what is transmitted, below this much chance decides
+# Transmittance below which chance decides whether light goes on
 _ROULETTE_BELOW = 0.05
 _LENGTH_LEAST = 1e-30
 

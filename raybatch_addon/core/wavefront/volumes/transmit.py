@@ -59,11 +59,11 @@ def make_transmit(features: VolumeFeatures) -> wp.Function:
         if wp.static(features.catchers):
             empty = empty or is_in_vacuum(paths, path, inside)
         if not empty:
-            where = pixel_sample(work, paths.item[path])
-            key = pixel_key(limits.seed, wp.uint32(where.x), wp.uint32(where.y), wp.uint32(work.frame_width))
+            pixel = pixel_sample(work, paths.item[path])
+            key = pixel_key(limits.seed, wp.uint32(pixel.x), wp.uint32(pixel.y), wp.uint32(work.frame_width))
             # the path's number of pieces tells its vertices apart
             piece = wp.uint32(volumes.state.segment[path] * wp.static(_PIECES) + wp.min(number, wp.static(_PIECES - 1)))
-            stream = stream_of(key, where.sample, piece | wp.uint32(wp.static(SHADOW_STREAM)))
+            stream = stream_of(key, pixel.sample, piece | wp.uint32(wp.static(SHADOW_STREAM)))
             bounce = bounce_to_light(paths.status[path])
             kind = int(wp.static(int(Visibility.SHADOW)))
             begin = ray_point(rays.origin[slot], direction, kind, bounce, time_of(rays, path))

@@ -41,7 +41,7 @@ class UploadedVolumes:
 
 
 class VolumeCache:
-    """What is kept of the volumes of the last frame."""
+    """Volumes of the last frame, kept for the next one."""
 
     def __init__(self) -> None:
         self.grids = GridCache()

@@ -96,7 +96,7 @@ def make_scattered(features: VolumeFeatures) -> wp.Function:
     ) -> int:
         direction = -v.wo
         status = v.status
-        u = sample_3d(v.key, v.where.sample, v.dimension + wp.uint32(BSDF))
+        u = sample_3d(v.key, v.pixel.sample, v.dimension + wp.uint32(BSDF))
         cosine = phase_sample(lobes, m, throughput, u[2], u[0])
         new = to_world(
             spherical_direction(cosine, wp.TAU * u[1]), tangent_of(direction), bitangent_of(direction), direction
@@ -109,7 +109,7 @@ def make_scattered(features: VolumeFeatures) -> wp.Function:
         if wp.static(features.roulette):
             if goes_on and v.bounce >= limits.roulette_bounce:
                 survival = survival_of(limits, carried)
-                if sample_1d(v.key, v.where.sample, v.dimension + wp.uint32(ROULETTE)) >= survival:
+                if sample_1d(v.key, v.pixel.sample, v.dimension + wp.uint32(ROULETTE)) >= survival:
                     goes_on = False
                 carried = carried / survival
         if not goes_on:
@@ -120,7 +120,7 @@ def make_scattered(features: VolumeFeatures) -> wp.Function:
         if paths.history.shape[0] > 0:
             paths.history[path] = paths.history[path] & wp.static(DEPTHS)
         paths.throughput[path] = carried
-        paths.pdf[path] = wp.where(v.where.x < limits.nee_end, chosen.pdf, 0.0)
+        paths.pdf[path] = wp.where(v.pixel.x < limits.nee_end, chosen.pdf, 0.0)
         paths.passed_t[path] = 0.0
         if paths.side.shape[0] > 0:
             paths.side[path] = v.side

@@ -39,7 +39,7 @@ def bump(node: Node) -> Value:
     graph, normal = node.graph, node.normal()
     if not node.linked("Height"):
         return normal
-    # of a step of a tenth of a pixel, which is what Blender calls 0.1
+    # a step of a tenth of a pixel is what Blender calls 0.1
     width = shift_width(wide_shift(1, _filter_width(node) / FILTER_WIDTH))
     strength, distance = node.number("Strength"), node.number("Distance")
     heights = three_heights(graph, lambda: node.number("Height"), width)

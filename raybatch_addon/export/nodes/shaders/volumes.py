@@ -12,7 +12,7 @@ from ..node import Node
 from ..registry import shader
 from ..volume_builder import is_in_volume
 
-# Of a black body: Stefan and Boltzmann's constant over pi, in the units that Cycles takes [1e6 W/(m² sr K⁴)]
+# Radiance of a black body at 1 K: Stefan and Boltzmann's constant over pi, in Cycles' units [1e6 W/(m² sr K⁴)]
 _RADIANCE = 5.670373e-8 * 1e-6 / math.pi
 _ONE, _ZERO = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 

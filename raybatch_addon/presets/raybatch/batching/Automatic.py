@@ -1,4 +1,4 @@
-"""What the preset AUTO of `core/settings/presets.py` sets."""
+"""Settings of the preset AUTO of `core/settings/presets.py`."""
 
 import bpy
 

@@ -1,4 +1,4 @@
-"""What the preset BALANCED of `core/settings/presets.py` sets."""
+"""Settings of the preset BALANCED of `core/settings/presets.py`."""
 
 import bpy
 

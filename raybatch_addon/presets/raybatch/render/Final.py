@@ -1,4 +1,4 @@
-"""What the preset FINAL of `core/settings/presets.py` sets."""
+"""Settings of the preset FINAL of `core/settings/presets.py`."""
 
 import bpy
 

@@ -1,4 +1,4 @@
-"""What the preset THESIS of `core/settings/presets.py` sets."""
+"""Settings of the preset THESIS of `core/settings/presets.py`."""
 
 import bpy
 

@@ -39,7 +39,7 @@ def reported(image):
 
 @pytest.mark.parametrize("packed", [False, True])
 @pytest.mark.parametrize("name, file_format, pixels", [("a.png", "PNG", BYTES), ("a.jpg", "JPEG", OPAQUE)])
-def test_bytes_are_those_that_blender_tells(tmp_path, name, file_format, pixels, packed):
+def test_bytes_are_those_that_blender_reports(tmp_path, name, file_format, pixels, packed):
     image = loaded(written(tmp_path, name, pixels, file_format))
     if packed:
         image.pack()

@@ -200,7 +200,7 @@ def test_a_tree_over_boxes_lists_each_once_and_alone(device, count):
     assert (walk.leaf_high >= high[entry].astype(np.float64) - top.centre + margin).all()
 
 
-def test_what_does_not_fit_is_told_with_its_size(device, monkeypatch):
+def test_what_does_not_fit_is_reported_with_its_size(device, monkeypatch):
     positions, triangles = uploaded(device, *soup(1))
     with pytest.raises(SceneError, match="holds 715,827,882 triangles, not 1,000,000,000"):
         build_mesh(positions, triangles, 0, 10**9)
@@ -213,7 +213,7 @@ def test_what_does_not_fit_is_told_with_its_size(device, monkeypatch):
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("vertex", [12, 13, 14])
-def test_coordinates_that_are_not_finite_are_told(device, value, vertex):
+def test_coordinates_that_are_not_finite_are_reported(device, value, vertex):
     positions, triangles = soup(10)
     positions[vertex, 1] = value
     with pytest.raises(SceneError, match="not a finite number"):

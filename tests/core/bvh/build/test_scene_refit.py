@@ -95,7 +95,7 @@ def aligned(array: np.ndarray) -> np.ndarray:
 
 
 def test_a_tree_that_a_device_built_follows():
-    """Its nodes lie level by level, in the order of its refits."""
+    """The tree's nodes lie level by level, in the order of its refits."""
     positions, triangles = wide_trees.soup(700)
     moved = (positions + 0.05 * np.sin(20 * positions)).astype(np.float32)
 
@@ -154,7 +154,7 @@ def test_what_stands_still_is_left_alone(layout):
 
 
 def test_normals_and_slots_of_a_kept_tree_are_the_new_ones():
-    """They are not in the tree; it stays, shading sees the change."""
+    """Normals and slots are not in the tree; it stays, shading sees the change."""
     session = Session(DEVICE, SETTINGS)
     base = several(0.5)
     session.render(base)

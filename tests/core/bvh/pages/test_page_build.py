@@ -286,7 +286,7 @@ def test_a_scene_of_one_triangle():
         assert built.tree.entry_instance.numpy().tolist() == [0]
 
 
-def test_memory_that_is_not_there_is_told(monkeypatch):
+def test_memory_that_is_not_there_is_reported(monkeypatch):
     monkeypatch.setattr("raybatch_addon.core.bvh.pages.build.free_memory", lambda device: 1000)
     with pytest.raises(OutOfMemoryError, match="use DISK"):
         paged("boxes", 600_000)

@@ -17,7 +17,7 @@ from tests.core.bvh.pages.page_files import built
 KEY = bytes(range(32))
 
 
-def test_too_little_room_is_told_before_anything_is_written(tmp_path, monkeypatch):
+def test_too_little_room_is_reported_before_anything_is_written(tmp_path, monkeypatch):
     usage = shutil.disk_usage(tmp_path)
     monkeypatch.setattr(page_file.shutil, "disk_usage", lambda folder: usage._replace(free=5000))
     (tmp_path / "old.pages").write_bytes(bytes(1000))
@@ -26,7 +26,7 @@ def test_too_little_room_is_told_before_anything_is_written(tmp_path, monkeypatc
     assert [path.name for path in tmp_path.iterdir()] == ["old.pages"]  # it would not have helped
 
 
-def test_a_folder_that_cannot_be_made_is_told(tmp_path):
+def test_a_folder_that_cannot_be_made_is_reported(tmp_path):
     (tmp_path / "file").write_bytes(b"")
     with pytest.raises(PageFileError, match="cannot be kept"):
         built("DISK", tmp_path / "file" / "folder")

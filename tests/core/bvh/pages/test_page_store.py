@@ -208,7 +208,7 @@ def test_a_damaged_file_that_cannot_be_deleted_while_it_is_open_is_not_taken_aga
     assert not third.statistics["reused"] and same(third, built("HOST", nodes_resident=False))
 
 
-def test_a_file_that_gets_shorter_meanwhile_is_told(tmp_path):
+def test_a_file_that_gets_shorter_meanwhile_is_reported(tmp_path):
     first = built("DISK", tmp_path)
     os.truncate(first.store.path, 3 * PAGE_ALIGNMENT)
     with pytest.raises(PageFileError, match="ends too early"):

@@ -100,7 +100,7 @@ def test_all_but_the_long_triangles_may_lie_in_one_cell():
 
 
 @pytest.mark.parametrize("scale", [0.0, 1e-30, 1e-18, 1e17])
-def test_triangles_that_cannot_be_told_apart_are_divided_all_the_same(scale):
+def test_triangles_that_cannot_be_distinguished_are_divided_all_the_same(scale):
     positions, triangles = wide_trees.soup(500)
     check((positions * np.float32(scale)).astype(np.float32), triangles, 60)
     check(np.float32([[0, 0, 0], [scale, 0, 0], [0, scale, 0]]), np.zeros((500, 3), np.int32) + np.int32([0, 1, 2]), 60)

@@ -33,7 +33,7 @@ WHOLE = BuildOptions(leaf_group=1, leaf_max=3)
 
 @dataclasses.dataclass
 class Hits:
-    """What came back, one row a ray."""
+    """Hits that came back, one row a ray."""
 
     t: np.ndarray
     instance: np.ndarray

@@ -80,7 +80,7 @@ def test_instances_are_met_where_they_are():
     trace(other, origin, direction, visibility=visibility, instancing=True).check_same(expected)
 
 
-def test_merged_instances_are_told_apart_without_a_top_level():
+def test_merged_instances_are_distinguished_without_a_top_level():
     entry = instanced_entries()[0]
     scene = make_scene([entry], False)
     origin, direction = random_rays(300, 9, 0.8)

@@ -180,7 +180,7 @@ def test_trees_of_the_device_builder_lie_level_by_level():
     assert np.array_equal(np.concatenate(tree_levels(Layout.QUANTISED, nodes)), np.arange(made.node_count))
 
 
-def test_what_does_not_fit_is_told(monkeypatch):
+def test_what_does_not_fit_is_reported(monkeypatch):
     built = built_scene(Layout.QUANTISED, False)
     monkeypatch.setattr(treelet_tree, "free_memory", lambda device: 1000)
     with pytest.raises(OutOfMemoryError, match="treelets needs .* GB more"):

@@ -120,7 +120,7 @@ def test_bad_materials_are_named():
 
 
 def test_materials_say_whether_light_may_pass_straight_on():
-    """So that shadow rays end at the others without a look at what they are made of."""
+    """Shadow rays thereby end at the other materials without a look at what these are made of."""
 
     def made(*names):
         builder = ProgramBuilder()

@@ -18,7 +18,7 @@ WIDTH, HEIGHT = 23, 17
 
 
 def sample_noise(first: np.ndarray, second: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """As the kernel of this name, in float64."""
+    """The noise of samples, like that of the kernel of this name, in float64."""
     difference = np.abs(first - second)[..., :3].sum(-1)
     light = (first + second)[..., :3].sum(-1) / 2
     ratio = np.divide(difference / 2, light, out=np.zeros_like(light), where=difference > 0)

@@ -91,7 +91,7 @@ def test_few_hits_keep_their_order(device):
     assert list(order.parts(rays, few)) == [few]
 
 
-def test_scratch_is_what_is_told():
+def test_scratch_is_what_is_reported():
     assert hit_order_bytes(1000) == 16_000
     assert hit_order_bytes(1 << 26) == hit_order_bytes(1 << 28), (
         "sorting takes no more memory however many paths are alive"

@@ -105,7 +105,7 @@ def test_small_waves_are_left_alone_and_count_for_nothing():
     assert play(policy, (2e-9, 1e-9), 10)[-1] is True
 
 
-def test_waves_that_are_never_told_of_leave_the_choice_as_it_was_until_the_next_point():
+def test_waves_that_are_never_reported_leave_the_choice_as_it_was_until_the_next_point():
     policy = SortPolicy("AUTO", FIRST)
     for _ in range(3 * TRIAL_WAVES):
         policy.choose(BOUNCE_1, WAVE, FIRST)

@@ -101,7 +101,7 @@ def test_pages_lie_on_disk_where_the_host_has_no_room():
 
 
 @pytest.mark.parametrize(("layout", "is_cuda"), LAYOUTS)
-def test_inside_memory_rays_go_alone_and_it_is_told_why(layout, is_cuda):
+def test_inside_memory_rays_go_alone_and_the_reason_is_reported(layout, is_cuda):
     """What was compared is reported: all that the scene needs, with what is free. People read numbers without powers of
     ten.
     """

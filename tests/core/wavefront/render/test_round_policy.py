@@ -39,7 +39,7 @@ def test_rounds_end_at_each_mark_and_at_the_last_sample(count, wanted):
     assert ends(policy) == sorted({mark for mark in wanted if 1 <= mark <= count} | {count})
 
 
-def test_marks_are_told_apart_and_in_order():
+def test_marks_are_distinct_and_in_order():
     assert sample_marks([5, 1, 5, 0, 9, -2, 8], 8) == (1, 5, 8)
 
 
@@ -66,7 +66,7 @@ def test_the_second_half_has_a_legal_seed_of_its_own(seed):
 
 def test_seeds_of_second_halves_seldom_meet():
     seeds = range(20_000)
-    # of n seeds drawn from 2^31, n^2 / 2^32 pairs are expected to be equal: 0.09 here
+    # n seeds drawn from 2^31 are expected to have n^2 / 2^32 equal pairs: 0.09 here
     assert len({half_seed(seed, 1) for seed in seeds}) >= len(seeds) - 3
     assert not set(seeds) & {half_seed(seed, 1) for seed in range(100)}
 

@@ -1,4 +1,4 @@
-"""What is reported for the number of paths alive."""
+"""Reports of the number of paths alive."""
 
 import pytest
 
@@ -61,7 +61,7 @@ def test_a_number_of_paths_that_tiles_do_not_have(ray_count, workers, areas, sam
     assert fewer_alive(ray_count, workers, areas, samples) == reported
 
 
-def test_a_render_tells_it_once(device):
+def test_a_render_reports_it_once(device):
     session = Session(device)
     scene = scenes.scene([(scenes.sphere(), scenes.IDENTITY, scenes.diffuse())], frame=Frame(32, 32), world=1.0)
     settings = RenderSettings(sample_count=2, tile_size=8, thread_count=1)

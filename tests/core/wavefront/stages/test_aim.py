@@ -14,7 +14,7 @@ from tests.support.under_test import DEVICE
 @wp.kernel(**KERNEL_OPTIONS)
 def aims(lights: LightTable, limits: PathLimits, x: int, last: int, answer: wp.array(dtype=int)):
     v = Vertex()
-    v.where.x = x
+    v.pixel.x = x
     v.last = last != 0
     if is_aimed(lights, limits, v):
         answer[0] = 1

@@ -33,7 +33,7 @@ def meanings(work: TileWork, numbers: wp.array(dtype=wp.uint32), result: wp.arra
     found = pixel_sample(work, numbers[i])
     result[i, 0] = wp.int64(found.x)
     result[i, 1] = wp.int64(found.y)
-    result[i, 2] = wp.int64(found.pixel)
+    result[i, 2] = wp.int64(found.index)
     result[i, 3] = wp.int64(found.sample)
 
 
@@ -42,7 +42,7 @@ def meanings(work: TileWork, numbers: wp.array(dtype=wp.uint32), result: wp.arra
     "sample_first, sample_count, base",
     [(0, 5, 0), (7, 100, 33), (3, 2**32 - 3, 2**33 + 1), (0, 2**32, 0), (9, 2**31, 2**32 - 50)],
 )
-def test_the_number_of_a_path_tells_its_pixel_and_sample(pixel_first, sample_first, sample_count, base):
+def test_the_number_of_a_path_gives_its_pixel_and_sample(pixel_first, sample_first, sample_count, base):
     work = TileWork()
     work.x, work.y, work.width, work.height, work.frame_width = 100, 50, 19, 13, 1000
     work.sample_first, work.sample_count, work.pixel_first, work.item_base = (

@@ -85,7 +85,7 @@ def test_rays_come_in_and_go_out_at_any_time(parallel):
 @pytest.mark.parametrize("parallel", PARALLEL)
 @pytest.mark.parametrize("sizes", [(0, 0), (4, 5)])
 def test_rays_can_be_forgotten(parallel, sizes):
-    """As when a tile is given up."""
+    """Rays are forgotten when a tile is given up."""
     tracer, visits = wandering(30, 200, parallel, debug_checks="ON", queue_size=sizes[0], queue_count=sizes[1])
     for turn in range(3):
         visits.zero_()
@@ -147,7 +147,7 @@ def test_more_steps_are_counted_than_32_bits_hold(parallel):
     assert 2**31 < tracer.totals().steps < 2**31 + 10_000
 
 
-def test_waits_and_occupancy_are_told():
+def test_waits_and_occupancy_are_reported():
     bounded, _ = wandering(40, 500, PARALLEL[0], bucket_selection="MOST_FULL", bucket_wait_max=30)
     free, _ = wandering(40, 500, PARALLEL[0], bucket_selection="MOST_FULL")
     waits = []

@@ -103,7 +103,7 @@ def test_a_batch_may_be_larger_than_what_is_taken_at_once(way):
     assert queues.waiting == 500
 
 
-def test_rules_tell_queues_from_treelets(way):
+def test_rules_take_queues_from_treelets(way):
     queues = BucketQueues(8, 2, 0, 10, debug=True, **way)
     entry, exit_ = queue_rule(2, 0, done=6, new=7), queue_rule(2, 1, done=-1, new=7)
     queues.put(batch_of(way["device"], [0, 1, 2, 3], [NEW, DONE, 2, 0]), entry)
@@ -113,7 +113,7 @@ def test_rules_tell_queues_from_treelets(way):
     assert dict(zip(slots.tolist(), where.tolist())) == {3: 0, 4: 1, 2: 2, 6: 2, 1: DONE, 0: NEW}
 
 
-def test_places_tell_where_rays_lie(way):
+def test_places_say_where_rays_lie(way):
     device = way["device"]
     queues = BucketQueues(5, 2, 3, 20, debug=True, **way)
     put, taken = wp.zeros(20, dtype=int, device=device), wp.zeros(queues.capacity, dtype=int, device=device)
@@ -123,7 +123,7 @@ def test_places_tell_where_rays_lie(way):
     lies = dict(zip(slots.tolist(), put.numpy().tolist()))
     assert lies.pop(3) == -1
     assert len(set(lies.values())) == 19
-    assert max(lies.values()) < queues.size.place_count
+    assert max(lies.values()) < queues.size.entry_count
     assert queues.totals()["blocks_short"] == 1  # 3 blocks of 2
     assert queues.overflowing == 13
     batch = queues.take(None, pool_index=taken)
@@ -178,13 +178,13 @@ def test_checks_find_what_is_wrong(way):
 def test_sizes_have_a_place_for_every_ray(queue_total, slot_count):
     chosen = pool_size(queue_total, 0, 0, slot_count)
     assert chosen.overflow == 0
-    assert chosen.place_count <= 2 * slot_count
+    assert chosen.entry_count <= 2 * slot_count
     for queue_size in (1, 3, 64, 1 << 20):
         for queue_count in (0, 1, 5, 1 << 20):
             size = pool_size(queue_total, queue_size, queue_count, slot_count)
             assert size.queue_size == min(queue_size, slot_count)
             assert size.block_count <= (queue_count or size.block_count)
-            assert size.place_count <= 3 * slot_count or queue_count
+            assert size.entry_count <= 3 * slot_count or queue_count
     assert pool_size(queue_total, 0, 3, slot_count).block_count <= 3
 
 
@@ -192,7 +192,7 @@ def test_places_can_be_numbered_whatever_is_asked_for():
     """The most that settings allow, with a shadow ray for every path."""
     for queue_size, queue_count in ((2**24, 127), (2**23, 255), (7, 2**28), (2**24, 0), (0, 2**28), (1, 1)):
         size = pool_size(40_002, queue_size, queue_count, 2**29)
-        assert 2**29 <= size.place_count <= 2**31 - 1 and size.block_count > 0, (queue_size, queue_count)
+        assert 2**29 <= size.entry_count <= 2**31 - 1 and size.block_count > 0, (queue_size, queue_count)
 
 
 @pytest.mark.parametrize("count", [1, 31, 64, 1000, 70_000])

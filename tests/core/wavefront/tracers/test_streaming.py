@@ -232,7 +232,7 @@ def test_an_advance_is_cut_short_by_the_end_of_the_render(open_pool):
 
 
 def test_rays_can_be_forgotten(open_pool):
-    """As when a tile is given up: some are done, some wait, and some came in last."""
+    """Rays are forgotten when a tile is given up: some are done, some wait, and some came in last."""
     pool, rays, tracer = streaming(open_pool, 2)
     tracer.submit(RayKind.CLOSEST, list_of(np.arange(PATHS)))
     tracer.advance()

@@ -85,10 +85,10 @@ def test_wrong_counts_are_found():
     visits = wp.zeros(1, dtype=wp.int64, device=DEVICE)
     counts = rays.count(visits).read()
     rays.check(counts)
-    rays._waiting.where.fill_(IDLE)
+    rays._waiting.location.fill_(IDLE)
     with pytest.raises(AssertionError, match=r"'idle': \(98, "):
         rays.check(counts)
-    rays._waiting.where.fill_(TREELETS)
+    rays._waiting.location.fill_(TREELETS)
     with pytest.raises(AssertionError, match="treelet 12 of 12"):
         rays.check(counts)
 

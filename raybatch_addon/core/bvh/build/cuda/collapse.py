@@ -105,7 +105,7 @@ def choose_kernel(nodes: BinaryNodes, choices: Choices, order: wp.array(dtype=in
     below = wp.min(leaves_below(nodes, choices, children[0]) + leaves_below(nodes, choices, children[1]), COUNT_MANY)
     area = half_area(nodes.low[node], nodes.high[node], nodes.scale)
 
-    # of exactly j parts, shared out between the children
+    # the cost of exactly j parts, shared out between the children
     shared = vec8()
     packed = vec8i()
     for j in range(2, 9):

@@ -24,7 +24,9 @@ class MeshTriangles:
 
 @wp.struct
 class CellGrid:
-    """As `Grid` of `partition.py`; triangles whose boxes have longer edges have a cell behind all others."""
+    """The grid of cells, as `Grid` of `partition.py`; triangles whose boxes have longer edges have a cell behind all
+    others.
+    """
 
     low: wp.vec3
     scale: wp.vec3

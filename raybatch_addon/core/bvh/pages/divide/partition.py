@@ -59,7 +59,7 @@ def _divide(triangles: Triangles, numbers: np.ndarray | None, size_max: int, apa
     if grid is None:
         listed = np.arange(count, dtype=np.int32) if numbers is None else numbers
         return [listed[int(a) : int(b)] for a, b in _runs(count, size_max)]
-    # of a surface; middles are doubled
+    # the edge of a chunk is estimated as that of a part of a surface; middles are doubled
     long_edge = _LONG_EDGE * float((high - low).max()) / 2 / np.sqrt(count / size_max) if apart else np.inf
     cells = grid.cells(long_edge)
     held = triangles.held(numbers, cells)
@@ -118,7 +118,7 @@ class _Grid:
         """The grid as devices take it; triangles of longer edges have a cell behind all others."""
         cells = CellGrid()
         cells.low, cells.scale = wp.vec3(*self.low.tolist()), wp.vec3(*self.scale.tolist())
-        # of float32, which edges are, the same ones are greater
+        # edges are float32: the largest of them that is no greater divides them alike
         edge = np.float32(long_edge)
         edge = np.nextafter(edge, np.float32(0)) if edge > long_edge else edge
         cells.shape, cells.long_edge = wp.vec3i(*self.shape), float(edge)
@@ -149,7 +149,7 @@ def _split(held: np.ndarray, edge: np.ndarray, size_max: int) -> tuple[np.ndarra
 
 
 class _Part(NamedTuple):
-    """What a box of the grid holds, seen along each axis."""
+    """The content of a box of the grid, seen along each axis."""
 
     there: list[np.ndarray]  # whether there is anything along this axis, bool, by the cells of the other two
     profiles: list[np.ndarray]  # triangles of each slice across this axis, int64
@@ -161,7 +161,7 @@ class _Part(NamedTuple):
 
     @property
     def count(self) -> int:
-        """Triangles."""
+        """Number of triangles."""
         return int(self.profiles[0].sum())
 
 

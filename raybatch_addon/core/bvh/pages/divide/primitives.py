@@ -64,7 +64,7 @@ class Primitives:
 
     @staticmethod
     def of(flat: FlatGeometry) -> Primitives:
-        """Those of `flat`; without segments, and vertices that move, they are their own stand-ins."""
+        """The primitives of `flat`; without segments, and vertices that move, they are their own stand-ins."""
         moving = {part: flat.motion.steps[part.mesh][0] for part in _deforming(flat)}
         positions, shifts, end = [flat.positions], {}, len(flat.positions)
         for part, steps in moving.items():

@@ -8,7 +8,7 @@ struct Lists {
 Ray carried[CARRIED];
 Lists lists[2];
 Lists *now = lists, *then = lists + 1;  // of this round and of the next one
-// Of the next round
+// Lengths of the lists of the next round
 long long node_count = 0, leaf_count = 0, pop_count = 0, entry_count = 0, root_count = 0, trail_count = 0;
 int taken = first;  // rays that have begun, of all
 // `child`, which has this trail code, is next if `good` is 1. Every list gets the ray at its end, but only one end

@@ -37,7 +37,7 @@ _CASTS_SHADOW, _VISIBILITY_SHIFT, _PROGRAM_SHIFT = 2, 2, 7
 
 @dataclass(frozen=True, kw_only=True)
 class AimFeatures:
-    """What the stage is specialised on; the fields are those of `SceneFeatures`."""
+    """Features that the stage is specialised on; the fields are those of `SceneFeatures`."""
 
     instancing: bool
     smooth_normals: bool
@@ -68,7 +68,7 @@ def is_aimed(lights: LightTable, limits: PathLimits, v: Vertex) -> bool:
     """Whether light is sampled at a vertex. Without emitters, of which kernels need not know, paths have no slots for
     shadow rays.
     """
-    return lights.emitter_count > 0 and v.where.x < limits.nee_end and not v.last
+    return lights.emitter_count > 0 and v.pixel.x < limits.nee_end and not v.last
 
 
 @functools.cache
@@ -84,7 +84,7 @@ def make_choose_light(features: AimFeatures) -> wp.Function:
         point = lit_point(v.surface.position, v.side)
         if wp.static(features.light_links):
             point.receiver = v.receiver
-        u = sample_3d(v.key, v.where.sample, v.dimension + wp.uint32(LIGHT))
+        u = sample_3d(v.key, v.pixel.sample, v.dimension + wp.uint32(LIGHT))
         light = light_sample(data.lights, data.geometry, point, u[2], wp.vec2(u[0], u[1]))
         if wp.static(features.catchers):
             if light.pdf > 0.0 and not shines_on_copy(data.lights, paths, path, light.emitter):

@@ -1,4 +1,4 @@
-"""What the stages at a surface are specialised on."""
+"""Features that the stages at a surface are specialised on."""
 
 from __future__ import annotations
 

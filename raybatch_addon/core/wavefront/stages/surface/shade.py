@@ -139,7 +139,7 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
                 records = wp.zeros(wp.static(programs.closure_count * RECORD_FLOATS), dtype=float)
                 if wp.static(features.texture_levels):
                     width = cone_width(path_cone(data.nodes, paths, path, v.bounce), point.ray_length)
-                    chance = sample_1d(v.key, v.where.sample, v.dimension + wp.uint32(TEXTURE))
+                    chance = sample_1d(v.key, v.pixel.sample, v.dimension + wp.uint32(TEXTURE))
                 if wp.static(programs.answer_count > 0 and not features.texture_levels):
                     width = float(0.0)
                     chance = float(0.0)
@@ -195,13 +195,13 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
             if wp.static("Normal" in features.passes):
                 if paths.normal.shape[0] > 0:
                     paths.normal[path] = frame.normal
-            if v.where.sample == wp.uint32(0):
+            if v.pixel.sample == wp.uint32(0):
                 if wp.static("Depth" in features.passes):
                     if film.depth.shape[0] > 0:
-                        film.depth[v.where.pixel] = depth_of(data, surface.position)
+                        film.depth[v.pixel.index] = depth_of(data, surface.position)
                 if wp.static("Position" in features.passes):
                     if film.position.shape[0] > 0:
-                        film.position[v.where.pixel] = surface.position
+                        film.position[v.pixel.index] = surface.position
 
         if wp.static(features.film_holes):
             if v.bounce == 0 and paths.alpha.shape[0] > 0:
@@ -251,7 +251,7 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
                 end = end - first
                 first = 0
             closures = wp.array(ptr=where, shape=(wp.max(lobes_most, closures.shape[0]),), dtype=ClosureRecord)
-        u = sample_3d(v.key, v.where.sample, v.dimension + wp.uint32(BSDF))
+        u = sample_3d(v.key, v.pixel.sample, v.dimension + wp.uint32(BSDF))
         scattered = propose(closures, first, end, lobes, data.materials.albedo, frame, wo, u[2], wp.vec2(u[0], u[1]))
         # The direction of the light, then that of the path. A loop, so that the code of the closures is there once: a
         # GPU waits for instructions more than for anything else here.
@@ -307,7 +307,7 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
                 paths.history[path] = history_after(paths.history[path], scattered.lobe)
         if (scattered.lobe & (TRANSPARENT | SUBSURFACE)) == 0:
             pdf = scattered.pdf
-            if (scattered.lobe & DELTA) != 0 or v.where.x >= limits.nee_end:
+            if (scattered.lobe & DELTA) != 0 or v.pixel.x >= limits.nee_end:
                 pdf = 0.0
             paths.pdf[path] = pdf
             if wp.static(features.least_density):
@@ -343,7 +343,7 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
             if wp.static(features.roulette):
                 if goes_on and v.bounce >= limits.roulette_bounce:
                     survival = survival_of(limits, throughput)
-                    if sample_1d(v.key, v.where.sample, v.dimension + wp.uint32(ROULETTE)) >= survival:
+                    if sample_1d(v.key, v.pixel.sample, v.dimension + wp.uint32(ROULETTE)) >= survival:
                         goes_on = False
                     throughput = throughput / survival
 
@@ -362,7 +362,7 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
                         frame.normal,
                         throughput,
                         v.key,
-                        v.where.sample,
+                        v.pixel.sample,
                         v.bounce + v.passed,
                     )
                     throughput = paths.throughput[path]

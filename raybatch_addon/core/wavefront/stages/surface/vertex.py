@@ -30,7 +30,7 @@ _INSIDE = int(Status.INSIDE)
 
 @dataclass(frozen=True, kw_only=True)
 class VertexFeatures:
-    """What a vertex is specialised on; the fields are those of `SceneFeatures`."""
+    """Features that a vertex is specialised on; the fields are those of `SceneFeatures`."""
 
     instancing: bool
     smooth_normals: bool
@@ -56,7 +56,7 @@ class Vertex:
     passed: int  # transparent surfaces that the path passed since it scattered
     comes_out: bool  # from below the surface, as if a white diffuse closure scattered it
     last: bool  # it scatters no more
-    where: PixelSample
+    pixel: PixelSample
     key: wp.vec2ui  # of the pixel's random numbers
     dimension: wp.uint32  # of the first of this vertex
     wo: wp.vec3
@@ -92,8 +92,8 @@ def make_vertex(features: VertexFeatures) -> wp.Function:
             v.last = v.last or is_spent(limits, paths.history[path])
         if wp.static(features.transparency):
             v.passed = paths.passed[path] & wp.static(SHADOW_PASS - 1)
-        v.where = pixel_sample(work, paths.item[path])
-        v.key = pixel_key(limits.seed, wp.uint32(v.where.x), wp.uint32(v.where.y), wp.uint32(work.frame_width))
+        v.pixel = pixel_sample(work, paths.item[path])
+        v.key = pixel_key(limits.seed, wp.uint32(v.pixel.x), wp.uint32(v.pixel.y), wp.uint32(work.frame_width))
         # every surface that a path meets has numbers of its own, also those that it passes
         v.dimension = wp.uint32(v.bounce + v.passed) * wp.uint32(DIMENSIONS_PER_BOUNCE)
         if wp.static(features.subsurface):

@@ -1,8 +1,8 @@
 """The memory of queues: blocks of one pool, and what is checked of them.
 
-A queue's rays lie in blocks of `queue_size` places. All of its blocks but the last are full, so the ray at position p
+A queue's rays lie in blocks of `queue_size` entries. All of its blocks but the last are full, so the ray at position p
 of a queue lies in its block number p // queue_size: no list has to be walked. Where all blocks are taken, rays lie in
-single places behind the blocks, the overflow, until their queue is served.
+single entries behind the blocks, the overflow, until their queue is served.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ FREE, OVERFLOW, IN_USE_PEAK, SHORT, WAIT_MAX, STEP, WAITING, STATE_SIZE = range(
 
 # Places that can be numbered
 PLACES_MAX = 2**31 - 1
-# Queues of 1024 rays keep the launches over blocks small; more would only waste places of queues that are nearly empty
+# Queues of 1024 rays keep the launches over blocks small; more would only waste entries of queues that are nearly empty
 QUEUE_SIZE_MAX = 1024
 
 
@@ -27,7 +27,7 @@ QUEUE_SIZE_MAX = 1024
 class Blocks:
     """Device side of all queues."""
 
-    slots: wp.array(dtype=int)  # rays, shape [block_count * queue_size + overflow places]
+    slots: wp.array(dtype=int)  # rays, shape [block_count * queue_size + overflow entries]
     # by block
     owner: wp.array(dtype=int)  # its queue, or -1
     link: wp.array(dtype=int)  # CPU: the queue's next block; CUDA: the block's number in its queue
@@ -48,7 +48,7 @@ class Blocks:
         dtype=wp.int64
     )  # times a ray was put into a queue so far, shape [1]: more than 32 bits hold within minutes
     queue_size: int
-    overflow_at: int  # first place of the overflow
+    overflow_at: int  # first entry of the overflow
 
 
 @wp.struct
@@ -81,7 +81,7 @@ class Moves:
     # of the overflow
     flags: wp.array(dtype=int)  # by ray of a batch
     flags_first: wp.array(dtype=int)
-    spare: wp.array(dtype=int)  # by place of the overflow
+    spare: wp.array(dtype=int)  # by entry of the overflow
     spare_first: wp.array(dtype=int)
     spare_list: wp.array(dtype=int)
     total: wp.array(dtype=int)  # put: rays that found a queue, shape [1]
@@ -113,15 +113,15 @@ def location_of(rule: QueueRule, queue: int) -> int:
 
 @dataclass(frozen=True)
 class PoolSize:
-    """How many places there are."""
+    """The number of entries that there are."""
 
     queue_size: int  # rays of a block
     block_count: int
-    overflow: int  # single places: with them every ray has a place, however the rays spread over the queues
+    overflow: int  # single entries: with them every ray has one, however the rays spread over the queues
 
     @property
-    def place_count(self) -> int:
-        """Places in all."""
+    def entry_count(self) -> int:
+        """Entries in all."""
         return self.block_count * self.queue_size + self.overflow
 
 
@@ -130,7 +130,7 @@ def pool_size(queue_total: int, queue_size: int, queue_count: int, slot_count: i
     what suits.
 
     Chosen freely, blocks never run out: every queue may have one that is nearly empty, and these take a quarter of the
-    places at most. Otherwise the pool is at most twice as large as the rays need, or as many blocks as asked for.
+    entries at most. Otherwise the pool is at most twice as large as the rays need, or as many blocks as asked for.
     """
     slot_count = max(1, slot_count)
     if not queue_size:
@@ -143,7 +143,7 @@ def pool_size(queue_total: int, queue_size: int, queue_count: int, slot_count: i
     most = min(-(-slot_count // queue_size) + queue_total, slot_count)  # each has at least a ray
     if not queue_count:
         queue_count = min(most, max(1, 2 * slot_count // queue_size))
-    # places are numbered by 31 bits, and the overflow has fewer than there are rays
+    # entries are numbered by 31 bits, and the overflow has fewer than there are rays
     queue_count = min(queue_count, most, max(1, (PLACES_MAX - slot_count) // queue_size))
     # blocks run out with as few rays as this in them: one in the last block of each queue, all other blocks full
     queues = min(queue_total, queue_count)
@@ -153,7 +153,7 @@ def pool_size(queue_total: int, queue_size: int, queue_count: int, slot_count: i
 
 def pool_bytes(size: PoolSize, queue_total: int, is_cuda: bool) -> int:
     """Memory of the pool [bytes]."""
-    return 4 * (size.place_count + 3 * size.block_count + 6 * queue_total + size.overflow * (1 if is_cuda else 2))
+    return 4 * (size.entry_count + 3 * size.block_count + 6 * queue_total + size.overflow * (1 if is_cuda else 2))
 
 
 def allocate_blocks(size: PoolSize, queue_total: int, device: wp.Device, host: bool) -> Blocks:
@@ -161,7 +161,7 @@ def allocate_blocks(size: PoolSize, queue_total: int, device: wp.Device, host: b
     blocks = Blocks()
     with wp.ScopedDevice(device):
         for name, count in (
-            ("slots", size.place_count),
+            ("slots", size.entry_count),
             ("owner", size.block_count),
             ("link", size.block_count),
             ("free", size.block_count),
@@ -274,19 +274,19 @@ class BlockCheck:
             f"{state[OVERFLOW]} rays are counted in the overflow, which holds {over.sum()}"
         )
         assert counts.sum() == state[WAITING], f"{state[WAITING]} rays are counted in all, and {counts.sum()} by queue"
-        place, queue = self._places(owner, in_blocks)
+        entry, queue = self._entries(owner, in_blocks)
         filled = np.flatnonzero(overflow >= 0)
-        place = np.concatenate([place, blocks.overflow_at + filled])
+        entry = np.concatenate([entry, blocks.overflow_at + filled])
         queue = np.concatenate([queue, overflow[filled]])
-        slots = blocks.slots.numpy()[place]
+        slots = blocks.slots.numpy()[entry]
         assert len(np.unique(slots)) == len(slots), f"rays {_some(_repeated(slots))} wait twice"
         wrong = slots[self._queue[slots] != queue]
         assert not len(wrong), f"rays {_some(wrong)} wait in queues other than those that they were put into"
         missing = np.setdiff1d(np.flatnonzero(self._queue >= 0), slots)
         assert not len(missing), f"rays {_some(missing)} are lost"
 
-    def _places(self, owner: np.ndarray, in_blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Places in blocks that hold rays, and their queues."""
+    def _entries(self, owner: np.ndarray, in_blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Entries of blocks that hold rays, and their queues."""
         blocks, size = self._blocks, self._blocks.queue_size
         last = blocks.open.numpy()
         if blocks.first.size:
@@ -304,8 +304,8 @@ class BlockCheck:
         empty = np.flatnonzero((in_blocks == 0) & (last != -1))
         assert not len(empty), f"queues {_some(empty)} are empty, but have a last block"
         inside = np.arange(size)[None, :] < fill[:, None]
-        place = (used[:, None] * np.int64(size) + np.arange(size)[None, :])[inside]
-        return place, np.broadcast_to(owner[used][:, None], inside.shape)[inside]
+        entry = (used[:, None] * np.int64(size) + np.arange(size)[None, :])[inside]
+        return entry, np.broadcast_to(owner[used][:, None], inside.shape)[inside]
 
 
 def _ranks_of_chains(blocks: Blocks, owner: np.ndarray, in_blocks: np.ndarray) -> np.ndarray:

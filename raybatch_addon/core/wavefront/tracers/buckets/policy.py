@@ -61,7 +61,7 @@ class Selection(IntEnum):
 
 
 class Step(IntEnum):
-    """What is done next."""
+    """The next step of a batched trace."""
 
     NOTHING = 0  # no ray waits
     TOP = 1  # an exit queue goes on through the top level

@@ -158,7 +158,9 @@ class BucketQueues:
         return batch
 
     def take_marked(self, rule: QueueRule, bound: int, pool_index: wp.array | None = None) -> RayList:
-        """As `take`, of one queue that was marked on the device; not checked, and nothing is asked of the host."""
+        """Take rays as `take` does, of one queue that was marked on the device; not checked, and nothing is asked of
+        the host.
+        """
         self.taken.pool_index = self.nowhere if pool_index is None else pool_index
         self.parallel_queues.take(rule, self.taken, bound, 1)
         return RayList(self.taken.slots, self.taken.count, bound, self.taken.locations)

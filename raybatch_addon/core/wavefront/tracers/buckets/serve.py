@@ -50,7 +50,7 @@ class QueueServer:
         self._do(step, self._take(queues, amount))
 
     def serve_marked(self, step: Step, bound: int) -> None:
-        """As `serve`, for the queue that is marked on the device."""
+        """Serve, as `serve` does, the queue that is marked on the device."""
         with self._timer.stage("queue"):
             batch = self._storage.take_marked(self._rules.entry, bound)
         self._do(step, batch)

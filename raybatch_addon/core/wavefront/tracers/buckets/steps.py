@@ -85,7 +85,7 @@ class LoopSteps(LaunchedSteps):
         return self._policy.fetch()
 
     def release(self) -> None:
-        """As `Steps.release`."""
+        """See `Steps.release`."""
         if self._loop:
             self._loop.release()
 

@@ -1,4 +1,4 @@
-"""What queues hold of rays: numbers of their slots (INDIRECT), or by value all that a traversal needs (DIRECT).
+"""Storage of rays in queues: numbers of their slots (INDIRECT), or by value all that a traversal needs (DIRECT).
 
 By value, a ray's state lies in the queues' blocks and is copied with it. A batch is traced in memory of its own, in
 which rays lie side by side: those that ask for the closest hit at positions below the capacity, the others behind.
@@ -136,8 +136,8 @@ CUDA_BATCH_BY_VALUE = 1 << 20
 
 
 class Storage(Protocol):
-    """What queues hold of rays, and where batches are traced. A batch that was taken is put back before the next one
-    is taken.
+    """Holds the rays of queues, and says where batches are traced. A batch that was taken is put back before the next
+    one is taken.
     """
 
     kernels: ClassVar[tuple[wp.Kernel, ...]]
@@ -152,19 +152,19 @@ class Storage(Protocol):
         """Rays of a batch at most."""
 
     @staticmethod
-    def bytes_per_slot(progress_bytes: int, instancing: bool, moving: bool, place_share: float) -> float:
+    def bytes_per_slot(progress_bytes: int, instancing: bool, moving: bool, entry_share: float) -> float:
         """Device memory for each ray slot [bytes]. `progress_bytes`: of a ray's progress; `moving`: rays have times;
-        `place_share`: entries of the pool for each slot.
+        `entry_share`: entries of the pool for each slot.
         """
 
     def begin(self, batch: RayList, rule: QueueRule) -> None:
         """New rays wait in the queues that `rule` says."""
 
     def take(self, chosen: Sequence[int] | None, rule: QueueRule, bound: int) -> RayList:
-        """As `BucketQueues.take`; the batch's slots are those of `rays`."""
+        """See `BucketQueues.take`; the batch's slots are those of `rays`."""
 
     def take_marked(self, rule: QueueRule, bound: int) -> RayList:
-        """As `BucketQueues.take_marked`; the batch's slots are those of `rays`."""
+        """See `BucketQueues.take_marked`; the batch's slots are those of `rays`."""
 
     def put(self, rule: QueueRule) -> None:
         """The rays that were taken last wait where the batch says."""
@@ -196,7 +196,7 @@ class InPlace:
         return batch_capacity(slot_count, queue_size, is_cuda)
 
     @staticmethod
-    def bytes_per_slot(progress_bytes: int, instancing: bool, moving: bool, place_share: float) -> float:
+    def bytes_per_slot(progress_bytes: int, instancing: bool, moving: bool, entry_share: float) -> float:
         """Progress alone."""
         return progress_bytes
 
@@ -255,12 +255,12 @@ class ByValue:
         """For rays of `home`, with trails of `words` words; those from slot `any_first` on ask for any hit. `moving`:
         their times are looked at.
         """
-        device, capacity, place_count = queues.device, queues.capacity, queues.size.place_count
+        device, capacity, entry_count = queues.device, queues.capacity, queues.size.entry_count
         mixed = any_first < home.origin.size
         self._queues, self._home, self._home_counts, self._taken = queues, home, counts, None
         self._launches = RepeatedLaunches(device)
-        self._values = _allocate_values(place_count, home, moving, device)
-        self._stored = allocate_progress(place_count, words, instancing, device)
+        self._values = _allocate_values(entry_count, home, moving, device)
+        self._stored = allocate_progress(entry_count, words, instancing, device)
         size = capacity * (2 if mixed else 1)
         self.rays = _allocate_values(size, home, moving, device)
         self.progress = allocate_progress(size, words, instancing, device)
@@ -282,9 +282,9 @@ class ByValue:
         return min(batch_capacity(slot_count, queue_size, is_cuda), max(CUDA_BATCH_BY_VALUE, queue_size))
 
     @staticmethod
-    def bytes_per_slot(progress_bytes: int, instancing: bool, moving: bool, place_share: float) -> float:
+    def bytes_per_slot(progress_bytes: int, instancing: bool, moving: bool, entry_share: float) -> float:
         """Progress and values in every entry of the pool."""
-        return (progress_bytes + VALUE_BYTES + 4 * instancing + 4 * moving) * place_share
+        return (progress_bytes + VALUE_BYTES + 4 * instancing + 4 * moving) * entry_share
 
     def begin(self, batch: RayList, rule: QueueRule) -> None:
         """Put the rays into queues, and their values into the pool."""
@@ -301,7 +301,7 @@ class ByValue:
         return self._load(self._queues.take(chosen, rule, bound, self._pool_index))
 
     def take_marked(self, rule: QueueRule, bound: int) -> RayList:
-        """As `take`, of the marked queue."""
+        """Take rays as `take` does, of the marked queue."""
         return self._load(self._queues.take_marked(rule, bound, self._pool_index))
 
     def _load(self, batch: RayList) -> RayList:

@@ -64,7 +64,7 @@ def take_list_kernel(blocks: Blocks, moves: Moves):
 
 @wp.kernel(**KERNEL_OPTIONS)
 def take_copy_kernel(blocks: Blocks, rule: QueueRule, rays: DeviceRayList, moves: Moves):
-    """By place of the blocks that are taken."""
+    """By entry of the blocks that are taken."""
     i = wp.tid()
     size = blocks.queue_size
     index, offset = i // size, i % size
@@ -83,7 +83,7 @@ def take_copy_kernel(blocks: Blocks, rule: QueueRule, rays: DeviceRayList, moves
 
 @wp.kernel(**KERNEL_OPTIONS)
 def take_flag_kernel(blocks: Blocks, moves: Moves):
-    """By place of the overflow: whether its ray belongs to a queue that was chosen."""
+    """By entry of the overflow: whether its ray belongs to a queue that was chosen."""
     i = wp.tid()
     queue = blocks.overflow_queue[i]
     flag = int(0)
@@ -94,7 +94,7 @@ def take_flag_kernel(blocks: Blocks, moves: Moves):
 
 @wp.kernel(**KERNEL_OPTIONS)
 def take_overflow_kernel(blocks: Blocks, rule: QueueRule, rays: DeviceRayList, moves: Moves):
-    """By place of the overflow: rays that were chosen go behind the others, as long as there is room."""
+    """By entry of the overflow: rays that were chosen go behind the others, as long as there is room."""
     i = wp.tid()
     at = rays.count[0] + moves.spare_first[i]
     if moves.spare[i] != 0 and at < rays.capacity:

@@ -94,7 +94,7 @@ def batching_bytes_per_path(
     size = pool_size(queues, settings.queue_size, settings.queue_count, many)
     progress_bytes = 4 * trail_words(levels) + 4 * instancing
     storage = STORAGES[settings.ray_storage]
-    stored = storage.bytes_per_slot(progress_bytes, instancing, moving, size.place_count / many)
+    stored = storage.bytes_per_slot(progress_bytes, instancing, moving, size.entry_count / many)
     return math.ceil((1 + shadow_rays) * (stored + pool_bytes(size, queues, is_cuda) / many))
 
 
@@ -186,7 +186,7 @@ class BatchingTracer:
             self._storage.begin(RayList(rays.slots, rays.count, rays.bound, rays.slots), self._rules.begin)
 
     def advance(self, stop: Callable[[], bool] | None = None) -> None:
-        """As `Tracer.advance`: queues are served until a share of the rays under way is done, or none waits."""
+        """See `Tracer.advance`: queues are served until a share of the rays under way is done, or none waits."""
         self._count_steps()
         waiting = self._queues.waiting
         self._note_occupancy(waiting)
@@ -224,13 +224,13 @@ class BatchingTracer:
         return finished
 
     def forget(self) -> None:
-        """As `Tracer.forget`."""
+        """See `Tracer.forget`."""
         self._forgotten += self._queues.waiting
         self._forgotten_done += int(self._queues.fetch_counts()[self._numbers.done])
         self._queues.clear()
 
     def release(self) -> None:
-        """As `Tracer.release`."""
+        """See `Tracer.release`."""
         self._steps.release()
 
     def totals(self) -> BatchingTotals:

@@ -1,11 +1,11 @@
 """Kernels that move rays between waiting and being traced, where they wait for pages of geometry.
 
-`where`, by ray slot, says what becomes of the ray: `IDLE`, `NEW`, `DONE`, or the treelet that it waits for. Taking rays
-is a pass over all slots (count, scan, scatter): it reads 8 bytes a slot, so that a GPU looks at 64 million in a quarter
-of a millisecond, a fifth of the time in which one page of 64 MB is copied; rays come out in the order of their slots,
-and nothing can run out. Its scan is one launch of its own: it sums both kinds of rays at once, packed in 64 bits, and
-decides how many are taken; a general scan would take more launches for that. A *tally* counts the slots of each class
-(`CLASS_...`, then one a page).
+`location`, by ray slot, says what becomes of the ray: `IDLE`, `NEW`, `DONE`, or the treelet that it waits for. Taking
+rays is a pass over all slots (count, scan, scatter): it reads 8 bytes a slot, so that a GPU looks at 64 million in a
+quarter of a millisecond, a fifth of the time in which one page of 64 MB is copied; rays come out in the order of their
+slots, and nothing can run out. Its scan is one launch of its own: it sums both kinds of rays at once, packed in 64
+bits, and decides how many are taken; a general scan would take more launches for that. A *tally* counts the slots of
+each class (`CLASS_...`, then one a page).
 
 Rays that are taken are a `DeviceRayList`: first those of the first kind, then those of the second. Its `count` has
 three entries: rays of both kinds, of the first, and of the second.
@@ -23,7 +23,7 @@ from ....native.build import native_source
 from ....rays import DeviceRayList
 
 IDLE = -3
-"""In `where`: no ray of the tracer's is in the slot."""
+"""In `location`: no ray of the tracer's is in the slot."""
 
 CLASS_IDLE, CLASS_NEW, CLASS_DONE_CLOSEST, CLASS_DONE_SHADOW, CLASS_PAGES = range(5)
 TALLY_COPIES = 32
@@ -39,7 +39,7 @@ SCAN_THREADS = 1024
 class Waiting:
     """The state of all rays of the tracer."""
 
-    where: wp.array(dtype=int)  # by ray slot
+    location: wp.array(dtype=int)  # by ray slot
     page: wp.array(dtype=int)  # by treelet
     tally: wp.array(dtype=int)  # slots of each class, shape [copies * classes]: the sum over copies counts
     classes: int
@@ -127,7 +127,7 @@ def submit_kernel(waiting: Waiting, slots: wp.array(dtype=int), count: wp.array(
     i = wp.tid()
     if i >= count[0]:
         return
-    waiting.where[slots[i]] = NEW
+    waiting.location[slots[i]] = NEW
     if i == 0:
         waiting.tally[CLASS_NEW] = waiting.tally[CLASS_NEW] + count[0]
         waiting.tally[CLASS_IDLE] = waiting.tally[CLASS_IDLE] - count[0]

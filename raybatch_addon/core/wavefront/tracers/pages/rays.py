@@ -106,7 +106,7 @@ class WaitingRays:
         cuda = device.is_cuda
         waiting = self._waiting = Waiting()
         with wp.ScopedDevice(device):
-            waiting.where = wp.empty(slot_count, dtype=int)
+            waiting.location = wp.empty(slot_count, dtype=int)
             waiting.page = page_of
             waiting.classes, waiting.copies = self._classes, TALLY_COPIES if cuda else 1
             waiting.tally = wp.empty(waiting.classes * waiting.copies, dtype=int)
@@ -128,7 +128,7 @@ class WaitingRays:
 
     def clear(self) -> None:
         """No slot has a ray."""
-        self._waiting.where.fill_(IDLE)
+        self._waiting.location.fill_(IDLE)
         self._waiting.tally.zero_()
         self._waiting.tally[CLASS_IDLE : CLASS_IDLE + 1].fill_(self._slot_count)
 
@@ -175,14 +175,14 @@ class WaitingRays:
 
     def check(self, counts: RayCounts) -> None:
         """Every slot is in one class, and the counts agree; raises AssertionError that says what is wrong."""
-        where, page_of = self._waiting.where.numpy(), self._page_of.numpy()
-        known = where.min() >= IDLE and where.max() < len(page_of)
-        assert known, f"a ray waits for treelet {where.max()} of {len(page_of)}, or in {where.min()}"
-        found = np.bincount(page_of[where[where >= 0]], minlength=self._classes - CLASS_PAGES)
-        done, shadow = where == DONE, np.arange(len(where)) >= self._shadow_first
+        location, page_of = self._waiting.location.numpy(), self._page_of.numpy()
+        known = location.min() >= IDLE and location.max() < len(page_of)
+        assert known, f"a ray waits for treelet {location.max()} of {len(page_of)}, or in {location.min()}"
+        found = np.bincount(page_of[location[location >= 0]], minlength=self._classes - CLASS_PAGES)
+        done, shadow = location == DONE, np.arange(len(location)) >= self._shadow_first
         counted = {
-            "idle": (counts.idle, (where == IDLE).sum()),
-            "new": (counts.new, (where == NEW).sum()),
+            "idle": (counts.idle, (location == IDLE).sum()),
+            "new": (counts.new, (location == NEW).sum()),
             "done": (counts.done_closest, (done & ~shadow).sum()),
             "done shadow": (counts.done_shadow, (done & shadow).sum()),
             "waiting": (counts.waiting.tolist(), found.tolist()),
@@ -195,7 +195,7 @@ class WaitingRays:
     def check_idle(self, rays: RayList) -> None:
         """The slots that are listed hold none of these rays, and each stands there once."""
         slots = rays.slots.numpy()[: int(rays.count.numpy()[0])]
-        busy = self._waiting.where.numpy()[slots] != IDLE
+        busy = self._waiting.location.numpy()[slots] != IDLE
         assert not busy.any(), (
             f"{busy.sum()} rays come in that are under way already, the first in slot {slots[busy][0]}"
         )

@@ -143,7 +143,7 @@ class StreamingTracer:
     # --- the tracer
 
     def submit(self, kind: RayKind, rays: RayList) -> None:
-        """As `Tracer.submit`."""
+        """See `Tracer.submit`."""
         if not rays.bound:
             return
         if self._debug:
@@ -155,7 +155,7 @@ class StreamingTracer:
         self._zero_copy = False
 
     def advance(self, stop: Callable[[], bool] | None = None) -> None:
-        """As `Tracer.advance`: an eighth of the rays alive is finished, or all."""
+        """See `Tracer.advance`: an eighth of the rays alive is finished, or all."""
         goal = max(1, min(self._alive // _FINISHED_SHARE, self._waiting.capacity))
         while True:
             worked = self._step()
@@ -172,7 +172,7 @@ class StreamingTracer:
         self._ask(2 * self._step_pages)
 
     def take_finished(self) -> list[tuple[RayKind, RayList]]:
-        """As `Tracer.take_finished`; the lists are valid until `advance`."""
+        """See `Tracer.take_finished`; the lists are valid until `advance`."""
         with self._timer.stage("queue"):
             lists = self._waiting.take_done(self._known)
         if not lists:
@@ -196,7 +196,7 @@ class StreamingTracer:
         return [(self._shadow_kind if shadow else RayKind.CLOSEST, rays) for shadow, rays in lists]
 
     def forget(self) -> None:
-        """As `Tracer.forget`."""
+        """See `Tracer.forget`."""
         while self._pending:
             self._read_counts()
         # those that came in since the last step too
@@ -229,7 +229,7 @@ class StreamingTracer:
         return totals
 
     def release(self) -> None:
-        """As `Tracer.release`: nothing is captured."""
+        """See `Tracer.release`: nothing is captured."""
 
     def close(self) -> None:
         """Nobody waits here any more; rays under way are given up."""
