@@ -80,7 +80,7 @@ FOLDER_FILES_MAX = 16  # of code in one folder, beside `__init__.py`
 KERNEL_PARAMETERS_MAX = 8
 NATIVE_PARAMETERS_MAX = 8
 FUNCTION_PARAMETERS_MAX = 12  # of Warp's functions: compilers inline them, and what belongs together is a struct
-WIDE_FIELDS = 8  # of a dataclass from which on they are given by name
+WIDE_FIELDS = 8  # of a dataclass or a named tuple, or arguments of a call, from which on they are given by name
 # of C++: its name, and its parameters
 LAMBDA = re.compile(r"(\w+) = \[[&=]?\]\s*\(([^()]*)\)")
 
@@ -283,6 +283,43 @@ def test_wide_dataclasses_are_built_by_keywords(path):
         by_order = types.index("KW_ONLY") if "KW_ONLY" in types else len(types)
         if any(each.startswith("dataclass") and "kw_only=True" not in each for each in decorators):
             assert by_order < WIDE_FIELDS, f"{node.name} is built by the order of {by_order} fields"
+
+
+def wide_tuples() -> set[str]:
+    """Names of the named tuples that have as many fields as a wide dataclass."""
+    names = set()
+    for path in [*FILES, *SCRIPTS]:
+        for node in ast.walk(parsed(path)):
+            if isinstance(node, ast.ClassDef) and "NamedTuple" in map(ast.unparse, node.bases):
+                if sum(isinstance(each, ast.AnnAssign) for each in node.body) >= WIDE_FIELDS:
+                    names.add(node.name)
+    return names
+
+
+def calls_by_name(tree: ast.Module) -> list[tuple[str, list[ast.expr]]]:
+    """Names that Python code calls, and what it gives by order; code of kernels, which has no keywords, is left out."""
+    of_kernels = {
+        id(each)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef) and any("wp." in ast.unparse(d) for d in node.decorator_list)
+        for each in ast.walk(node)
+    }
+    return [
+        (node.func.id, node.args)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and id(node) not in of_kernels
+    ]
+
+
+def test_wide_calls_give_their_arguments_by_name():
+    tuples, found = wide_tuples(), {}
+    assert "Bsdf" in tuples, "named tuples are not seen any more"
+    for path in [*FILES, *SCRIPTS]:
+        for name, given in calls_by_name(parsed(path)):
+            starred = sum(isinstance(each, ast.Starred) for each in given)
+            if len(given) - starred >= WIDE_FIELDS or (starred and name in tuples):
+                found[path.relative_to(ROOT).as_posix()] = name
+    assert not found, f"give the last arguments by name in {found}"
 
 
 @pytest.mark.parametrize("path", FILES, ids=name_of)

@@ -8,9 +8,8 @@ that is rendered, but not of what lies between.
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
 
 import bpy
 from bpy.app.handlers import persistent
@@ -47,14 +46,14 @@ def look() -> None:
 
 
 @persistent
-def _begin(scene: bpy.types.Scene | None, *_: Any) -> None:
+def _begin(scene: bpy.types.Scene | None, *_: object) -> None:
     global _is_job, job
     job += 1
     _is_job = scene is not None and scene.render.engine == "RAYBATCH"
 
 
 @persistent
-def _end(*_: Any) -> None:
+def _end(*_: object) -> None:
     global _is_job
     _is_job = False
 
@@ -73,6 +72,6 @@ def unregister() -> None:
             handlers.remove(function)
 
 
-def _handlers() -> tuple[tuple[Any, Any], ...]:
+def _handlers() -> tuple[tuple[list, Callable[..., None]], ...]:
     events = bpy.app.handlers
     return (events.render_init, _begin), (events.render_complete, _end), (events.render_cancel, _end)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -334,6 +334,6 @@ def _can_be_met(light) -> bool:
     raise ValueError(f"there is no rule for whether rays meet lights of kind {light.kind!r}: add one here")
 
 
-def narrow(features: Any, kind: type[T]) -> T:
+def narrow(features: object, kind: type[T]) -> T:
     """The part of `features` that `kind`, a dataclass, has: its fields are fields or properties of `features`."""
     return kind(**{field.name: getattr(features, field.name) for field in dataclasses.fields(kind)})

@@ -108,9 +108,9 @@ class TileIntegrator:
                 count,
                 self._shadow_kind,
                 settings,
-                self._counters if self._counts_steps else None,
-                self._timer,
-                self._order,
+                counters=self._counters if self._counts_steps else None,
+                timer=self._timer,
+                order=self._order,
             )
         self._cost: wp.array | None = None
         self._mattes = Mattes()  # of the tile, beside those in its slots

@@ -258,11 +258,11 @@ def _stage_functions(
         ShadingStage.BACKGROUND: lambda: make_background(narrow(shading, BackgroundFeatures)),
         ShadingStage.LIGHT_HITS: lambda: make_light_hits_stage(
             narrow(among, LightHitFeatures),
-            shading.transparency,
-            shading.clamping,
-            shading.subsurface,
-            shading.splits_light,
-            shading.guides,
+            transparency=shading.transparency,
+            clamping=shading.clamping,
+            subsurface=shading.subsurface,
+            splits_light=shading.splits_light,
+            guides=shading.guides,
         ),
         ShadingStage.CONNECT: lambda: (
             make_connect_program(connected)

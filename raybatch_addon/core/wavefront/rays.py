@@ -179,7 +179,7 @@ def visibility_of(status: int) -> int:
     return (status >> wp.static(VISIBILITY_SHIFT)) & 31
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RayNeeds:
     """What is kept of the rays of a render, beside origin, direction, `t_max` and `hit_instance`."""
 
@@ -196,11 +196,11 @@ class RayNeeds:
         """
         through = features.transparency
         return RayNeeds(
-            features.shadow_rays,
-            through,
-            through or reference or features.catchers,
-            features.instancing or reference,
-            features.motion,
+            shadow_rays=features.shadow_rays,
+            shadow_hits=through,
+            limits=through or reference or features.catchers,
+            visibility=features.instancing or reference,
+            time=features.motion,
         )
 
     @property

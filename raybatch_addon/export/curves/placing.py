@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING
 
 import bpy
 
@@ -13,6 +13,9 @@ from ...core.scene.notice import Notice, Weight
 from ..meshes.attributes import lacking_attribute
 from .sources import STRAND_KIND, CurvesSource, ParticleHair, PointsSource, Source
 from .strands import curve_shape
+
+if TYPE_CHECKING:
+    from ..meshes.instances import PlacementCollector
 
 _Asked = list[tuple[str, str]]
 CurveData = bpy.types.Curves | bpy.types.PointCloud | bpy.types.ParticleSystemModifier
@@ -36,7 +39,7 @@ class StrandMeshes:
         self._seen.clear()
 
     def of(
-        self, obj: bpy.types.Object, data: CurveData, collector: Any
+        self, obj: bpy.types.Object, data: CurveData, collector: PlacementCollector
     ) -> tuple[list[int], Callable[[_Asked], int | None]]:
         """Materials of the slots of `data` (curves, points, or the modifier of a particle system) of `obj`, and the
         function that makes its mesh, with attributes.

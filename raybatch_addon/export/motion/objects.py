@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import bpy
 import numpy as np
 
 from ..meshes.meshes import mesh_velocity
+
+if TYPE_CHECKING:
+    from ..meshes.placements import Placements
 
 
 class PlacedMotion(NamedTuple):
@@ -79,11 +82,9 @@ class PlacedMotions:
         self._known: dict[Hashable, tuple[int, bool, np.ndarray | None]] = {}
 
     def of(
-        self, placed: bpy.types.DepsgraphObjectInstance, obj: bpy.types.Object, mesh: int, made: Any, item: int
+        self, placed: bpy.types.DepsgraphObjectInstance, obj: bpy.types.Object, mesh: int, made: Placements, item: int
     ) -> PlacedMotion:
-        """The motion of `placed`, number `item` of the depsgraph's list, which is mesh number `mesh` of `made`, the
-        `Placements`.
-        """
+        """The motion of `placed`, number `item` of the depsgraph's list, which is mesh number `mesh` of `made`."""
         parent = placed.parent if placed.is_instance else None
         place = (mesh, obj.original.as_pointer(), parent.original.as_pointer() if parent else 0)
         if place not in self._known:

@@ -21,8 +21,8 @@ from ...device.kernel import KERNEL_OPTIONS
 from ...errors import OutOfMemoryError
 from ..tree import Treelets
 from .address_ring import AddressRing
-from .build import PagedScene
 from .facts import PageFacts
+from .paged_scene import PagedScene
 from .store import padded, page_rows
 from .transfer import PageLine, largest_page, page_line, staging_count
 

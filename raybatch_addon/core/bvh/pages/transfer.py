@@ -20,7 +20,7 @@ from typing import Protocol
 
 import warp as wp
 
-from .build import PagedScene
+from .paged_scene import PagedScene
 from .store import bytes_of_rows, page_buffer
 
 # Pages that are read at the same time; as many are staged on their way to a CUDA device

@@ -373,5 +373,15 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
                     share += (weight[0] + weight[1] + weight[2]) / 3.0
         return wp.min(share, 1.0)
 
-    bsdf = Bsdf(functions.look, propose, mix, value_of, complete, emission, transparency, scatters, holdout)
+    bsdf = Bsdf(
+        look=functions.look,
+        propose=propose,
+        mix=mix,
+        value=value_of,
+        complete=complete,
+        emission=emission,
+        transparency=transparency,
+        scatters=scatters,
+        holdout=holdout,
+    )
     return with_hair(bsdf, features)

@@ -173,7 +173,7 @@ def upload_lights(
     # the rays that see an instance; its other bits say whose light it blocks or catches
     visibility = scene.instances.visibility.astype(np.int32) & int(Visibility.ALL)
     table.instance_visibility = upload(visibility if has_triangles else np.zeros(0, np.int32), int)
-    choice = _choice_table(table, records, strength, triangles, scene, geometry, world, keep)
+    choice = _choice_table(table, records, strength, triangles, scene=scene, geometry=geometry, world=world, keep=keep)
     upload_links(scene, choice, triangles.instance, device)
     table.choice = upload_struct(choice, device)
     return UploadedLights(table, choice, tree, len(triangles))
@@ -193,6 +193,7 @@ def _choice_table(
     records: np.ndarray,
     strength: np.ndarray,
     triangles: EmissiveTriangles,
+    *,
     scene: Scene,
     geometry: Geometry | None,
     world: SampledWorld | None,

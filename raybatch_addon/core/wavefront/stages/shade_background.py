@@ -61,6 +61,7 @@ class BackgroundFeatures:
 @functools.cache
 def make_light_hits_stage(
     features: LightHitFeatures,
+    *,
     transparency: bool,
     clamping: bool,
     subsurface: bool = False,

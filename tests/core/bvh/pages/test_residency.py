@@ -10,7 +10,7 @@ import pytest
 import warp as wp
 
 from raybatch_addon.core.bvh.node import Layout
-from raybatch_addon.core.bvh.pages.build import PagedScene
+from raybatch_addon.core.bvh.pages.paged_scene import PagedScene
 from raybatch_addon.core.bvh.pages.residency import PageCounts, Residency, slots_in
 from raybatch_addon.core.bvh.pages.resident import load_nodes
 from raybatch_addon.core.bvh.pages.store import HostStore, Page, PageFileError

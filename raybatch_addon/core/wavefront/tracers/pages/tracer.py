@@ -26,8 +26,8 @@ import numpy as np
 import warp as wp
 
 from ....bvh.node import Layout
-from ....bvh.pages.build import PagedScene
 from ....bvh.pages.encode import PAGE_KERNELS
+from ....bvh.pages.paged_scene import PagedScene
 from ....bvh.pages.residency import Residency, address_kernel
 from ....bvh.pages.transfer import pages_a_step
 from ....bvh.traverse.options import VisitOptions
