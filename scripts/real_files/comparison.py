@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from lib.command import UsageError
-from lib.output import json_text, write_whole
+from lib.output import json_text, write_text
 
 from real_files.code import code_of, what_changed
 from real_files.judging import NAMES
@@ -156,9 +156,9 @@ class _Reporter:
         report["summary"] = summary_of(report["files"])
         folder = self._records.folder.parent
         text = json_text(report) + "\n"
-        write_whole(folder / "results.json", lambda temporary: temporary.write_text(text, encoding="utf-8"))
+        write_text(folder / "results.json", text)
         page = html_page(report, known, shlex.join(["compare.py", *sys.argv[1:]]))
-        write_whole(folder / "report.html", lambda temporary: temporary.write_text(page, encoding="utf-8"))
+        write_text(folder / "report.html", page)
         return report
 
     def write_table(self, report: dict[str, Any]) -> None:

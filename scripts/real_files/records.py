@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from lib.output import OutputError, json_text, write_whole
+from lib.output import OutputError, json_text, write_text, write_whole
 
 from real_files.code import code_of
 from real_files.listing import RealFile
@@ -116,7 +116,7 @@ class Records:
 
         write_whole(path.with_suffix(".npz"), write_pictures)
         kept = {name: value for name, value in vars(record).items() if name != "pictures"}
-        write_whole(path, lambda temporary: temporary.write_text(json_text(kept) + "\n", encoding="utf-8"))
+        write_text(path, json_text(kept) + "\n")
 
     def _load(self, path: Path) -> Record | None:
         """None for what is not there, or cannot be read: it is rendered anew."""

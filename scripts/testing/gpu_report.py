@@ -9,6 +9,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from lib.output import write_text
+
 from testing.outcomes import FAILED, PASSED, SKIPPED, Outcome
 from testing.report import commit, today
 from testing.run_units import BROKEN, DONE, RUNNING, STOPPED, WAITING, UnitRun
@@ -58,9 +60,7 @@ def _row(outcome: Outcome) -> dict[str, Any]:
 def write_report(path: Path, report: dict[str, Any]) -> None:
     """Write it whole: a reader sees the report before or this one."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_suffix(".new")
-    temporary.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
-    os.replace(temporary, path)
+    write_text(path, json.dumps(report, indent=1) + "\n")
 
 
 def summary(report: dict[str, Any]) -> str:
