@@ -144,6 +144,18 @@ def test_imports_go_up_the_rooms(path):
         assert room_of(target) <= room_of(path), f"{name_of(path)} imports {name_of(target)}, which is in a later room"
 
 
+def test_no_two_files_import_each_other():
+    """Not for their types either: what both need has a file of its own."""
+    imported = {path: import_targets(path) for path in FILES if path.name != "__init__.py"}
+    found = [
+        f"{name_of(path)} and {name_of(target)}"
+        for path, targets in imported.items()
+        for target in targets
+        if path < target and path in imported.get(target, ())
+    ]
+    assert not found
+
+
 @pytest.mark.parametrize("path", FILES, ids=name_of)
 def test_imports_within_the_package_are_relative(path):
     assert PACKAGE.name not in absolute_imports(path)
