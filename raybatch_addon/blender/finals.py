@@ -60,18 +60,28 @@ def _end(*_: object) -> None:
 
 def register() -> None:
     """Follow Blender's renders from now on."""
-    for handlers, function in _handlers():
-        handlers.append(function)
+    add_render_handlers(_begin, _end)
 
 
 def unregister() -> None:
     """Follow them no longer."""
     _end()
-    for handlers, function in _handlers():
+    remove_render_handlers(_begin, _end)
+
+
+def add_render_handlers(begin: Callable[..., None], end: Callable[..., None]) -> None:
+    """Have Blender call `begin` before each render and `end` behind it, whether it is complete or cancelled."""
+    for handlers, function in _handlers(begin, end):
+        handlers.append(function)
+
+
+def remove_render_handlers(begin: Callable[..., None], end: Callable[..., None]) -> None:
+    """Undo `add_render_handlers`."""
+    for handlers, function in _handlers(begin, end):
         if function in handlers:
             handlers.remove(function)
 
 
-def _handlers() -> tuple[tuple[list, Callable[..., None]], ...]:
+def _handlers(begin: Callable[..., None], end: Callable[..., None]) -> list[tuple[list, Callable[..., None]]]:
     events = bpy.app.handlers
-    return (events.render_init, _begin), (events.render_complete, _end), (events.render_cancel, _end)
+    return [(events.render_init, begin), (events.render_complete, end), (events.render_cancel, end)]

@@ -343,7 +343,7 @@ def _build(
             store=plan.geometry_store,
             folder=request.page_folder,
             rule=cut_rule(request.plan, request.settings),
-            spatial_splits=settings.spatial_splits == "ON",
+            spatial_splits=settings.is_on("spatial_splits"),
             encoded=encodes(layout),
             corners=geometry.positions if device.is_cuda else None,
             cancelled=request.cancelled,
@@ -359,7 +359,7 @@ def _build(
         device,
         layout,
         spatial_splits=plan.splits,
-        splits_moving=settings.spatial_splits == "ON",
+        splits_moving=settings.is_on("spatial_splits"),
     )
     return Kept(fingerprint, geometry, built)
 

@@ -127,7 +127,7 @@ class BatchingTracer:
         `stages`: what tracing does. `rays_few`: with fewer in every bucket, rays go on unbatched. `parallel`: the way
         of CUDA devices, on the CPU too. `capacity`: rays of a batch at most. Where these are not given they are chosen.
         """
-        device, counts, debug = worker.device, worker.counts, settings.debug_checks == "ON"
+        device, counts, debug = worker.device, worker.counts, settings.is_on("debug_checks")
         self._timer, self._numbers = worker.timer, QueueNumbers(treelet_tree.treelet_count)
         self._rules = QueueRules(self._numbers)
         self._selection = selection_of(settings, device.is_cuda)
