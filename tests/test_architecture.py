@@ -205,7 +205,7 @@ def test_files_are_short(path):
 
 def test_folders_hold_few_files():
     counts = Counter(path.parent for path in CODE if path.name != "__init__.py")
-    counts.update(path.parent for path in PACKAGE.rglob("*.h"))
+    counts.update(path.parent for path in (*PACKAGE.rglob("*.h"), *(ROOT / "scripts").rglob("*.sh")))
     full = {folder.relative_to(ROOT).as_posix(): count for folder, count in counts.items() if count > FOLDER_FILES_MAX}
     assert not full, f"more than {FOLDER_FILES_MAX} files: make folders of one idea each in {full}"
 
