@@ -19,7 +19,7 @@ from real_files.judging import NAMES
 from real_files.listing import RealFile, files_listed, files_named
 from real_files.manual import write_manual
 from real_files.page import html_page
-from real_files.process import COLD, Outcome, run_process
+from real_files.process import COLD, ProcessOutcome, run_process
 from real_files.records import ENGINES, Record, Records
 from real_files.rows import DIFFERS, FAILED, SAME, row_of, summary_of
 from real_files.tables import counted, notes_of_old, remarks, summary_rows
@@ -110,7 +110,7 @@ def _compared(
     return record
 
 
-def _without_place(outcome: Outcome, file: RealFile, folder: Path | None) -> Outcome:
+def _without_place(outcome: ProcessOutcome, file: RealFile, folder: Path | None) -> ProcessOutcome:
     """`outcome` with texts that do not say where the file lies on this machine: // is its folder, as in Blender."""
 
     def without_folders(value):

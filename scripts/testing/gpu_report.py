@@ -11,7 +11,7 @@ from typing import Any
 
 from lib.output import write_text
 
-from testing.outcomes import FAILED, PASSED, SKIPPED, Outcome
+from testing.outcomes import FAILED, PASSED, SKIPPED, CheckOutcome
 from testing.report import commit, today
 from testing.run_units import BROKEN, DONE, RUNNING, STOPPED, WAITING, UnitRun
 
@@ -52,7 +52,7 @@ def report_of(runs: Sequence[UnitRun], part: tuple[int, int], device: str, secon
     }
 
 
-def _row(outcome: Outcome) -> dict[str, Any]:
+def _row(outcome: CheckOutcome) -> dict[str, Any]:
     row = {"name": outcome.name, "outcome": outcome.outcome, "seconds": outcome.seconds}
     return row | ({"note": outcome.note} if outcome.note else {})
 

@@ -51,7 +51,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
 
 
 @dataclass
-class Outcome:
+class KillOutcome:
     """What came of the renders of one scene with the settings of one variant."""
 
     scene: str
@@ -72,7 +72,7 @@ class Killed:
         self._session, self._path, self._folder = session, path, folder
         self._scene, settings = load_scene(path)
         self._settings = settings.replace(**VARIANTS[variant], device="cpu", sample_count=32)
-        self.outcome = Outcome(path.name, variant)
+        self.outcome = KillOutcome(path.name, variant)
         session.render(self._scene, self._settings)  # kernels are compiled
         start = time.perf_counter()
         session.render(self._scene, self._settings)

@@ -20,7 +20,7 @@ from ..scene.passes import GUIDE_PASSES, light_group_passes
 from ..scene.program import ProgramFeatures
 from ..settings.settings import RenderSettings
 from ..shading.bsdf.materials import HAIR_KINDS
-from ..shading.lights.light_hits import LightHitFeatures
+from ..shading.lights.hits import LightHitFeatures
 from .adaptive.active_pixels import ADAPTIVE_KERNELS
 from .catchers.lives import CATCHER_KERNELS
 from .order.hit_order import KEY_KERNELS, HitKey, sorts_materials

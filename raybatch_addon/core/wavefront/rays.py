@@ -17,7 +17,7 @@ import warp as wp
 from ..bvh.tree import TRAIL_LEVELS, TopProgress
 from ..rays import Rays
 from ..scene.features import SceneFeatures
-from ..shading.lights.light_choice import LitPoint, lit_point
+from ..shading.lights.choice import LitPoint, lit_point
 from .passes.state import PathPasses, pass_bytes_per_path
 from .requests.state import Requests, request_bytes_per_path
 from .volumes.table import state_bytes_per_path

@@ -14,9 +14,9 @@ from ...scene.description import Light, LightKind, Scene, Visibility
 from ...scene.geometry import Geometry
 from .choice_table import ChoiceTable
 from .emitters import EmissiveTriangles, find_emissive_triangles, light_area, light_strengths, triangle_strengths
-from .light_tree import EmitterBoxes, EmittingTriangles, LightNode, bound_triangles_kernel
 from .link_table import upload_links
 from .tree.fill import fill_blocks, launch_parts
+from .tree.kernels import EmitterBoxes, EmittingTriangles, LightNode, bound_triangles_kernel
 from .tree.topology import Alike, runs_alike
 from .world import SampledWorld, WorldTable
 
