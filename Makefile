@@ -39,7 +39,7 @@ help:
 	@sed -n 's/^# //p' Makefile
 
 environment:
-	@sh scripts/environment.sh
+	@sh scripts/environment/environment.sh
 
 render: environment
 	@$(MAKE) --no-print-directory out/demo.blend

@@ -15,7 +15,7 @@ from typing import IO
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from lib.command import run_command
-from lib.output import OutputFolders, leave, write_report, write_whole
+from lib.output import OutputFolders, leave, write_report, write_text
 from rendering.request import RESOLUTION_DEFAULT, parse_settings
 
 DESCRIPTION = """\
@@ -162,7 +162,7 @@ def run(options: argparse.Namespace, command: str, folders: OutputFolders, stand
     if options.plot:
         write_plot(options.plot.absolute(), summary)
     if options.html:
-        write_whole(options.html.absolute(), lambda temporary: temporary.write_text(page, encoding="utf-8"))
+        write_text(options.html.absolute(), page)
     asked = {"command": command, "seconds": request.seconds, "runs": request.runs, "flip": study.flip_computed}
     write_report(options.json, json_report(summary, asked), text_report(summary), standard_output)
     return 0

@@ -11,11 +11,19 @@ MESH.npz holds `v` float32 [n, 3], `f` int32 [m, 3] and perhaps `m` [m], a mater
 import argparse
 import math
 import sys
+import zipfile
 from pathlib import Path
 
 import bpy
 import numpy as np
 from mathutils import Matrix, Vector
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from lib.command import UsageError, exit_code
+
+# Errors of bad input, of files that cannot be written, and of Blender
+ERRORS = (UsageError, OSError, EOFError, ValueError, KeyError, IndexError, RuntimeError, zipfile.BadZipFile)
 
 
 def mesh_object(path: Path, up: str, drop: list[int], flat: bool) -> bpy.types.Object:
@@ -62,7 +70,7 @@ def under_the_sky(scene: bpy.types.Scene, given: argparse.Namespace) -> None:
     """A sun and a constant world, and the camera that was asked for."""
     numbers = [float(n) for n in given.camera.split(",")]
     if len(numbers) != 7:
-        sys.exit("--camera takes seven numbers: ex,ey,ez,tx,ty,tz,fov_degrees")
+        raise UsageError("--camera takes seven numbers: ex,ey,ez,tx,ty,tz,fov_degrees")
     turn = Matrix(((1, 0, 0), (0, 0, -1), (0, 1, 0))) if given.up == "y" else Matrix.Identity(3)
     point_camera(scene, turn @ Vector(numbers[:3]), turn @ Vector(numbers[3:6]), math.radians(numbers[6]))
     sun = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", "SUN"))
@@ -92,7 +100,8 @@ def on_a_stage(scene: bpy.types.Scene, placed: bpy.types.Object) -> None:
     scene.world = bpy.data.worlds.new("World")
 
 
-def main() -> None:
+def main() -> int:
+    """The exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("mesh", type=Path)
     parser.add_argument("out", type=Path)
@@ -107,7 +116,11 @@ def main() -> None:
     parser.add_argument("--sun", type=float, default=4.0, help="irradiance of the sun [W/m²]")
     parser.add_argument("--world", type=float, default=0.5, help="radiance of the world")
     given = parser.parse_args()
+    return exit_code("mesh_to_blend.py", lambda: run(given), errors=ERRORS)
 
+
+def run(given: argparse.Namespace) -> int:
+    """Make the file that was asked for; the exit code."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     placed = mesh_object(given.mesh, given.up, given.drop, given.flat)
@@ -118,7 +131,8 @@ def main() -> None:
         under_the_sky(scene, given)
     scene.render.resolution_x = scene.render.resolution_y = 1280
     bpy.ops.wm.save_as_mainfile(filepath=str(given.out.resolve()))
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -21,17 +21,22 @@ import tomllib
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
+sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
+
+from lib.command import RefusedError, exit_code
+
+from raybatch_addon.core.errors import RayBatchError
+
 MANIFEST = "blender_manifest.toml"
 # the name of pip's platform, by Blender's. Warp's wheels are the same for every Python 3.
 PIP_PLATFORMS = {"linux-x64": "manylinux_2_28_x86_64", "windows-x64": "win_amd64", "macos-arm64": "macosx_11_0_arm64"}
 
 
-class PackageError(Exception):
+class PackageError(RayBatchError):
     """Why there is no package, in one line."""
 
 
-class DownloadError(PackageError):
+class DownloadError(PackageError, RefusedError):
     """Why a wheel could not be had."""
 
 
@@ -218,15 +223,14 @@ def main() -> int:
     options = parser.parse_args()
     if unknown := set(options.platforms) - set(PIP_PLATFORMS):
         parser.error(f"unknown platform {', '.join(sorted(unknown))}; choose from {', '.join(PIP_PLATFORMS)}")
-    try:
-        for platform in options.platforms or PIP_PLATFORMS:
-            kernels = None if options.no_kernels else options.kernels.absolute()
-            print(
-                build(platform, options.out.absolute(), options.wheels.absolute(), kernels, options.targets), flush=True
-            )
-    except (PackageError, OSError) as error:
-        print(f"package.py: error: {error}", file=sys.stderr)
-        return 3 if isinstance(error, DownloadError) else 1
+    return exit_code("package.py", lambda: run(options), errors=(PackageError, OSError))
+
+
+def run(options: argparse.Namespace) -> int:
+    """Build what was asked for; the exit code."""
+    for platform in options.platforms or PIP_PLATFORMS:
+        kernels = None if options.no_kernels else options.kernels.absolute()
+        print(build(platform, options.out.absolute(), options.wheels.absolute(), kernels, options.targets), flush=True)
     return 0
 
 

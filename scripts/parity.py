@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from lib.command import run_command
-from lib.output import OutputFolders, leave, write_json, write_whole
+from lib.output import OutputFolders, leave, write_json, write_text
 
 from raybatch_addon.core.errors import RayBatchError
 
@@ -147,7 +147,7 @@ def _write_page(out: Path, results: list, known: dict[str, str], standard_output
     stored = out / "parity" / "results.json"
     rows = together(earlier_results(stored), results)
     text = page(rows, write_sheets(rows, out / "parity"), known)
-    write_whole(out / "parity.md", lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_text(out / "parity.md", text)
     write_json(str(stored), [json_report(rows, known, sum(row.seconds for row in rows))], standard_output)
 
 

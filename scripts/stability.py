@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from lib.command import run_command
-from lib.output import OutputFolders, leave, write_json, write_whole
+from lib.output import OutputFolders, leave, write_json, write_text
 
 from raybatch_addon.core.errors import RayBatchError
 
@@ -111,7 +111,7 @@ def write_tables(reports: list[Path]) -> None:
         new[manual.results_file(ROOT)] = manual.results_text(results)
     for path, text in new.items():
         path.parent.mkdir(exist_ok=True)
-        write_whole(path, lambda temporary, text=text: temporary.write_text(text, encoding="utf-8"))
+        write_text(path, text)
 
 
 def run(options: argparse.Namespace, folders: OutputFolders, standard_output: IO[str]) -> int:
@@ -170,7 +170,7 @@ def run(options: argparse.Namespace, folders: OutputFolders, standard_output: IO
         write_json(options.json, [json_report(device, versions(), results, seconds)], standard_output)
     if options.html:
         page = html_page(results, device, versions(), seconds)
-        write_whole(Path(options.html).absolute(), lambda temporary: temporary.write_text(page, encoding="utf-8"))
+        write_text(Path(options.html).absolute(), page)
     if options.json != "-":
         standard_output.write(text_report(results, device, seconds) + "\n")
     return int(any(result.failed for result in results))

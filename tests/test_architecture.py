@@ -80,7 +80,7 @@ FOLDER_FILES_MAX = 16  # of code in one folder, beside `__init__.py`
 KERNEL_PARAMETERS_MAX = 8
 NATIVE_PARAMETERS_MAX = 8
 FUNCTION_PARAMETERS_MAX = 12  # of Warp's functions: compilers inline them, and what belongs together is a struct
-WIDE_FIELDS = 8  # of a dataclass from which on they are given by name
+WIDE_FIELDS = 8  # of a dataclass or a named tuple, or arguments of a call, from which on they are given by name
 # Constants that each file has of its own: of a format, an environment variable, a type variable, and what the engine is
 # called where a person reads it and where Blender does
 OF_EACH_FILE = {"FORMAT", "VERSION", "VARIABLE", "T", "ENGINE"}
@@ -152,6 +152,18 @@ def test_imports_go_up_the_rooms(path):
         assert room_of(target) <= room_of(path), f"{name_of(path)} imports {name_of(target)}, which is in a later room"
 
 
+def test_no_two_files_import_each_other():
+    """Not for their types either: what both need has a file of its own."""
+    imported = {path: import_targets(path) for path in FILES if path.name != "__init__.py"}
+    found = [
+        f"{name_of(path)} and {name_of(target)}"
+        for path, targets in imported.items()
+        for target in targets
+        if path < target and path in imported.get(target, ())
+    ]
+    assert not found
+
+
 @pytest.mark.parametrize("path", FILES, ids=name_of)
 def test_imports_within_the_package_are_relative(path):
     assert PACKAGE.name not in absolute_imports(path)
@@ -201,7 +213,7 @@ def test_files_are_short(path):
 
 def test_folders_hold_few_files():
     counts = Counter(path.parent for path in CODE if path.name != "__init__.py")
-    counts.update(path.parent for path in PACKAGE.rglob("*.h"))
+    counts.update(path.parent for path in (*PACKAGE.rglob("*.h"), *(ROOT / "scripts").rglob("*.sh")))
     full = {folder.relative_to(ROOT).as_posix(): count for folder, count in counts.items() if count > FOLDER_FILES_MAX}
     assert not full, f"more than {FOLDER_FILES_MAX} files: make folders of one idea each in {full}"
 
@@ -317,6 +329,43 @@ def test_wide_dataclasses_are_built_by_keywords(path):
         by_order = types.index("KW_ONLY") if "KW_ONLY" in types else len(types)
         if any(each.startswith("dataclass") and "kw_only=True" not in each for each in decorators):
             assert by_order < WIDE_FIELDS, f"{node.name} is built by the order of {by_order} fields"
+
+
+def wide_tuples() -> set[str]:
+    """Names of the named tuples that have as many fields as a wide dataclass."""
+    names = set()
+    for path in [*FILES, *SCRIPTS]:
+        for node in ast.walk(parsed(path)):
+            if isinstance(node, ast.ClassDef) and "NamedTuple" in map(ast.unparse, node.bases):
+                if sum(isinstance(each, ast.AnnAssign) for each in node.body) >= WIDE_FIELDS:
+                    names.add(node.name)
+    return names
+
+
+def calls_by_name(tree: ast.Module) -> list[tuple[str, list[ast.expr]]]:
+    """Names that Python code calls, and what it gives by order; code of kernels, which has no keywords, is left out."""
+    of_kernels = {
+        id(each)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef) and any("wp." in ast.unparse(d) for d in node.decorator_list)
+        for each in ast.walk(node)
+    }
+    return [
+        (node.func.id, node.args)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and id(node) not in of_kernels
+    ]
+
+
+def test_wide_calls_give_their_arguments_by_name():
+    tuples, found = wide_tuples(), {}
+    assert "Bsdf" in tuples, "named tuples are not seen any more"
+    for path in [*FILES, *SCRIPTS]:
+        for name, given in calls_by_name(parsed(path)):
+            starred = sum(isinstance(each, ast.Starred) for each in given)
+            if len(given) - starred >= WIDE_FIELDS or (starred and name in tuples):
+                found[path.relative_to(ROOT).as_posix()] = name
+    assert not found, f"give the last arguments by name in {found}"
 
 
 @pytest.mark.parametrize("path", FILES, ids=name_of)

@@ -8,9 +8,8 @@ that is rendered, but not of what lies between.
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
 
 import bpy
 from bpy.app.handlers import persistent
@@ -47,32 +46,42 @@ def look() -> None:
 
 
 @persistent
-def _begin(scene: bpy.types.Scene | None, *_: Any) -> None:
+def _begin(scene: bpy.types.Scene | None, *_: object) -> None:
     global _is_job, job
     job += 1
     _is_job = scene is not None and scene.render.engine == "RAYBATCH"
 
 
 @persistent
-def _end(*_: Any) -> None:
+def _end(*_: object) -> None:
     global _is_job
     _is_job = False
 
 
 def register() -> None:
     """Follow Blender's renders from now on."""
-    for handlers, function in _handlers():
-        handlers.append(function)
+    add_render_handlers(_begin, _end)
 
 
 def unregister() -> None:
     """Follow them no longer."""
     _end()
-    for handlers, function in _handlers():
+    remove_render_handlers(_begin, _end)
+
+
+def add_render_handlers(begin: Callable[..., None], end: Callable[..., None]) -> None:
+    """Have Blender call `begin` before each render and `end` behind it, whether it is complete or cancelled."""
+    for handlers, function in _handlers(begin, end):
+        handlers.append(function)
+
+
+def remove_render_handlers(begin: Callable[..., None], end: Callable[..., None]) -> None:
+    """Undo `add_render_handlers`."""
+    for handlers, function in _handlers(begin, end):
         if function in handlers:
             handlers.remove(function)
 
 
-def _handlers() -> tuple[tuple[Any, Any], ...]:
+def _handlers(begin: Callable[..., None], end: Callable[..., None]) -> list[tuple[list, Callable[..., None]]]:
     events = bpy.app.handlers
-    return (events.render_init, _begin), (events.render_complete, _end), (events.render_cancel, _end)
+    return [(events.render_init, begin), (events.render_complete, end), (events.render_cancel, end)]

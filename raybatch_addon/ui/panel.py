@@ -31,6 +31,16 @@ class EnginePanel:
         return context.engine in cls.COMPAT_ENGINES
 
 
+def is_engine(context: bpy.types.Context) -> bool:
+    """Whether RayBatch is the engine of the scene that is shown."""
+    return context.scene is not None and context.engine == ENGINE
+
+
+def may_render(context: bpy.types.Context) -> bool:
+    """Whether an operator may begin a render: RayBatch is the engine, and no render is under way."""
+    return is_engine(context) and not bpy.app.is_job_running("RENDER")
+
+
 def split_layout(layout, animated: bool = False):
     """`layout` with names on the left and values on the right; `animated`: with the dots of keys."""
     layout.use_property_split = True

@@ -12,7 +12,7 @@ from ..blender.denoise_library import why_not
 from ..core.settings.presets import PRESETS, preset_settings
 from ..core.settings.settings import SETTINGS
 from ..export.settings import assign_setting
-from .panel import ENGINE, register_all, unregister_all
+from .panel import is_engine, register_all, unregister_all
 
 # The folder in which Blender finds `presets`
 _HOME = str(Path(__file__).parents[1])
@@ -34,7 +34,7 @@ class RAYBATCH_OT_preset(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        return context.scene is not None and context.engine == ENGINE
+        return is_engine(context)
 
     @classmethod
     def description(cls, _context, properties):

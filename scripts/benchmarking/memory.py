@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import statistics
 from dataclasses import dataclass, field
 from typing import Any
@@ -174,16 +175,15 @@ def measure_against_memory(
     count = 1 + len(budgets)
     steps = Steps(count * (1 + request.counters) + request.runs)
     try:
-        whole, film = _begun(session, scene, MEMORY, plain.replace(batching="OFF"), films, request.counters, steps)
+        begun = functools.partial(_begun, session, scene, films=films, counters=request.counters, steps=steps)
+        whole, film = begun(MEMORY, plain.replace(batching="OFF"))
         if not whole.cold["tree"]:
             raise UsageError(f"{request.scene.path} has no triangles that could lie elsewhere")
         geometry_bytes = whole.cold["tree"]["bytes"]
         variants = [whole]
         for budget in budgets:
             limited = plain.replace(geometry_budget=budget.of(geometry_bytes))
-            variants.append(
-                _begun(session, scene, budget.text, limited, films, request.counters, steps, geometry_bytes)[0]
-            )
+            variants.append(begun(budget.text, limited, geometry_bytes=geometry_bytes)[0])
         for run in range(request.runs):
             steps.begin(f"run {run + 1} of {request.runs}")
             for variant in variants:
@@ -209,6 +209,7 @@ def _begun(
     scene: Scene,
     name: str,
     settings: RenderSettings,
+    *,
     films: _FilmsCompared,
     counters: bool,
     steps: Steps,

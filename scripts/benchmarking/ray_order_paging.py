@@ -17,8 +17,8 @@ from collections.abc import Callable
 import numpy as np
 import warp as wp
 
-from raybatch_addon.core.bvh.pages.build import PagedScene
 from raybatch_addon.core.bvh.pages.facts import PageFacts
+from raybatch_addon.core.bvh.pages.paged_scene import PagedScene
 from raybatch_addon.core.bvh.pages.residency import Residency
 from raybatch_addon.core.bvh.tree import DONE, NEW
 from raybatch_addon.core.measure.batching import BatchingTotals

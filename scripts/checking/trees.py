@@ -148,9 +148,8 @@ def build_tracer(name: str, scene: BenchmarkScene, geometry: Geometry, device: w
         scene.instancing,
         device,
         layout,
-        name.endswith("splits"),
-        False,
-        name.startswith("device"),
+        spatial_splits=name.endswith("splits"),
+        on_device=name.startswith("device"),
     )
     if name.endswith("refitted"):
         refit_scene_tree(built, scene.flat, geometry, visibility, range(len(built.meshes)), device)

@@ -7,7 +7,7 @@ from typing import Any
 
 from converging.reference import UsedReference
 from converging.study import Run, Study
-from converging.summary import Outcome, Summary, short, shortened
+from converging.summary import Summary, VariantOutcome, short, shortened
 from raybatch_addon.core.convergence.points import PICTURE_SETTINGS, fit_slope, slope_data
 
 
@@ -63,7 +63,7 @@ def _run(run: Run) -> dict[str, Any]:
     }
 
 
-def _summary(each: Outcome, study: Study) -> dict[str, Any]:
+def _summary(each: VariantOutcome, study: Study) -> dict[str, Any]:
     return {
         "engine": each.variant.engine,
         "label": each.variant.label,

@@ -16,7 +16,7 @@ from lib.command import UsageError
 from lib.output import write_whole
 
 from converging.study import Run
-from converging.summary import Outcome, Summary
+from converging.summary import Summary, VariantOutcome
 from raybatch_addon.core.convergence.points import ErrorPoint
 
 FORMATS = (".svg", ".png", ".pdf")
@@ -171,7 +171,7 @@ def draw(axes, panel: Panel, summary: Summary, ink: str) -> None:
         axes.legend(fontsize=8, frameon=False, labelcolor=ink)
 
 
-def _draw_curve(axes, panel: Panel, outcome: Outcome, color: str, marker: str) -> None:
+def _draw_curve(axes, panel: Panel, outcome: VariantOutcome, color: str, marker: str) -> None:
     """The median of all runs, a band from the least to the most, and each run in thin lines."""
     for run in outcome.runs:
         shown = [point for point in run.points if positive(point, panel.y) and positive(point, panel.x)]

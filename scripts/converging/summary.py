@@ -48,7 +48,7 @@ class Ranged:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class VariantOutcome:
     """The results of the runs of one variant."""
 
     variant: Variant
@@ -82,7 +82,7 @@ class Summary:
     study: Study
     target: float | None  # relMSE
     target_given: bool
-    outcomes: list[Outcome]
+    outcomes: list[VariantOutcome]
     notes: list[str]  # what a reader must know
 
     @property
@@ -97,13 +97,13 @@ def summarised(study: Study, target: float | None) -> Summary:
     if target is None:
         ends = [run.points[-1].relmse for run in study.runs_of(study.variants[0]) if run.points]
         target = statistics.median(ends) if ends and statistics.median(ends) > 0 else None
-    outcomes: list[Outcome] = []
+    outcomes: list[VariantOutcome] = []
     for variant in study.variants:
         outcomes.append(_outcome(study, variant, target, outcomes[0] if outcomes else None))
     return Summary(study, target, given, outcomes, _notes(study, outcomes))
 
 
-def _outcome(study: Study, variant: Variant, target: float | None, first: Outcome | None) -> Outcome:
+def _outcome(study: Study, variant: Variant, target: float | None, first: VariantOutcome | None) -> VariantOutcome:
     runs = study.runs_of(variant)
     points = [point for run in runs for point in run.points]
     slope = fit_slope(points)
@@ -120,7 +120,7 @@ def _outcome(study: Study, variant: Variant, target: float | None, first: Outcom
     of_relmse = [value for run in runs if (value := efficiency(run.points, "relmse")) is not None]
     theirs = first.target_seconds if first else seconds
     sooner = theirs.median / seconds.median if theirs and seconds and seconds.median else None
-    return Outcome(
+    return VariantOutcome(
         variant,
         runs,
         slope,
@@ -139,7 +139,7 @@ def _efficiencies(runs: list[Run]) -> dict[int, float]:
     return {run.seed: value for run in runs if (value := efficiency(run.points, "relmse_most")) is not None}
 
 
-def _notes(study: Study, outcomes: list[Outcome]) -> list[str]:
+def _notes(study: Study, outcomes: list[VariantOutcome]) -> list[str]:
     notes = []
     for each in outcomes:
         clamps = [
@@ -254,7 +254,7 @@ def slope_text(slope: Slope | None) -> str:
     return f"{slope.slope:.2f}{spread}{' BIAS' if slope.flattens else ''}"
 
 
-def target_text(each: Outcome) -> str:
+def target_text(each: VariantOutcome) -> str:
     """Seconds to the target; with ~ where they are extrapolated."""
     if each.target_seconds is None:
         return "never" if each.slope and each.slope.flattens else "-"

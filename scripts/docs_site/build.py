@@ -18,11 +18,18 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
 
+from lib.command import exit_code
+
 from docs_site.checking import faults
 from docs_site.staging import stage
+from raybatch_addon.core.errors import RayBatchError
 
 CONFIGURATION = ROOT / "scripts/docs_site"
 INVENTORY = "objects.inv"  # of a site that Sphinx built
+
+
+class SiteError(RayBatchError):
+    """Why there is no site, in one line."""
 
 
 def wanted() -> list[str]:
@@ -64,18 +71,17 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", nargs="?", type=Path, default=ROOT / "build/docs/site", metavar="FOLDER")
     site = parser.parse_args().folder.absolute()
-    if (needed := missing(wanted())) and (code := install(needed)):
-        print("docs: error: the tools could not be installed (see above); run it again with a network", file=sys.stderr)
-        return code
+    return exit_code("docs", lambda: run(site), errors=(SiteError, OSError, ValueError))
+
+
+def run(site: Path) -> int:
+    """Build the site and check it; the exit code."""
+    if (needed := missing(wanted())) and install(needed):
+        raise SiteError("the tools could not be installed (see above); run it again with a network")
     sources = ROOT / "build/docs/source"
-    try:
-        stage(sources)
-    except (OSError, ValueError) as error:
-        print(f"docs: error: {error}", file=sys.stderr)
-        return 1
+    stage(sources)
     if build(sources, site):
-        print("docs: error: the site was not built (see above)", file=sys.stderr)
-        return 1
+        raise SiteError("the site was not built (see above)")
     found = faults(site)
     for fault in found:
         print(f"docs: error: {fault}", file=sys.stderr)

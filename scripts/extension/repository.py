@@ -19,10 +19,13 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
 
-from package import PackageError, project_version
+from lib.command import exit_code
+from package import project_version
+
+from raybatch_addon.core.errors import RayBatchError
 
 
-class RepositoryError(Exception):
+class RepositoryError(RayBatchError):
     """Why there is no repository, in one line."""
 
 
@@ -77,18 +80,20 @@ def main() -> int:
         "--out", type=Path, default=ROOT / "dist/repository", help="the repository (default: dist/repository)"
     )
     options = parser.parse_args()
-    try:
-        blender = find_blender(options.blender)  # before the zips, which take minutes
-        if options.build:
-            build_packages(options.packages.absolute())
-        zips = put_packages(options.packages.absolute(), options.out.absolute())
-        index = generate(blender, options.out.absolute())
-        listed = [each.get("archive_url", "") for each in json.loads(index.read_text(encoding="utf-8"))["data"]]
-        if unlisted := [each.name for each in zips if f"./{each.name}" not in listed]:
-            raise RepositoryError(f"Blender left {', '.join(unlisted)} out of {index}")
-    except (RepositoryError, PackageError, OSError, ValueError, KeyError) as error:
-        print(f"repository.py: error: {error}", file=sys.stderr)
-        return 1
+    errors = RayBatchError, OSError, ValueError, KeyError
+    return exit_code("repository.py", lambda: run(options), errors=errors)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Make the repository that was asked for; the exit code."""
+    blender = find_blender(options.blender)  # before the zips, which take minutes
+    if options.build:
+        build_packages(options.packages.absolute())
+    zips = put_packages(options.packages.absolute(), options.out.absolute())
+    index = generate(blender, options.out.absolute())
+    listed = [each.get("archive_url", "") for each in json.loads(index.read_text(encoding="utf-8"))["data"]]
+    if unlisted := [each.name for each in zips if f"./{each.name}" not in listed]:
+        raise RepositoryError(f"Blender left {', '.join(unlisted)} out of {index}")
     print(index)
     return 0
 

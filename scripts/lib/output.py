@@ -12,13 +12,15 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import IO, Any, NoReturn
+from typing import IO, TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
 from raybatch_addon.core.errors import RayBatchError
 from raybatch_addon.core.files import whole_file
-from raybatch_addon.core.film import Film
+
+if TYPE_CHECKING:
+    from raybatch_addon.core.film import Film
 
 
 class OutputError(RayBatchError):
@@ -100,6 +102,11 @@ def write_whole(path: Path, write: Callable[[Path], None]) -> None:
         raise OutputError(f"{path} cannot be written: {error.strerror or error}") from None
 
 
+def write_text(path: Path, text: str) -> None:
+    """Put `text` into the file `path`, whole or not at all; raises `OutputError`."""
+    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
 def numbered(path: str, number: int, many: bool) -> Path:
     """`path` with its last run of `#` replaced by the frame's number; with none, the number comes before the extension
     if there are many.
@@ -143,7 +150,7 @@ def write_json(target: str, statistics: list[dict[str, Any]], standard_output: I
         standard_output.write(text)
         standard_output.flush()
     else:
-        write_whole(Path(target).absolute(), lambda temporary: temporary.write_text(text, encoding="utf-8"))
+        write_text(Path(target).absolute(), text)
 
 
 def write_report(target: str | None, report: dict[str, Any], text: str, standard_output: IO[str]) -> None:

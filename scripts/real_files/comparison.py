@@ -12,14 +12,14 @@ from pathlib import Path
 from typing import IO, Any
 
 from lib.command import UsageError
-from lib.output import json_text, write_whole
+from lib.output import json_text, write_text
 
 from real_files.code import code_of, what_changed
 from real_files.judging import NAMES
 from real_files.listing import RealFile, files_listed, files_named
 from real_files.manual import write_manual
 from real_files.page import html_page
-from real_files.process import COLD, Outcome, run_process
+from real_files.process import COLD, ProcessOutcome, run_process
 from real_files.records import ENGINES, Record, Records
 from real_files.rows import DIFFERS, FAILED, SAME, row_of, summary_of
 from real_files.tables import counted, notes_of_old, remarks, summary_rows
@@ -110,7 +110,7 @@ def _compared(
     return record
 
 
-def _without_place(outcome: Outcome, file: RealFile, folder: Path | None) -> Outcome:
+def _without_place(outcome: ProcessOutcome, file: RealFile, folder: Path | None) -> ProcessOutcome:
     """`outcome` with texts that do not say where the file lies on this machine: // is its folder, as in Blender."""
 
     def without_folders(value):
@@ -156,9 +156,9 @@ class _Reporter:
         report["summary"] = summary_of(report["files"])
         folder = self._records.folder.parent
         text = json_text(report) + "\n"
-        write_whole(folder / "results.json", lambda temporary: temporary.write_text(text, encoding="utf-8"))
+        write_text(folder / "results.json", text)
         page = html_page(report, known, shlex.join(["compare.py", *sys.argv[1:]]))
-        write_whole(folder / "report.html", lambda temporary: temporary.write_text(page, encoding="utf-8"))
+        write_text(folder / "report.html", page)
         return report
 
     def write_table(self, report: dict[str, Any]) -> None:

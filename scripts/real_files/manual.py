@@ -10,7 +10,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from lib.output import json_text, write_whole
+from lib.output import json_text, write_text
 from tables.marked_text import list_item, wrapped
 
 from real_files.judging import NAMES
@@ -166,4 +166,4 @@ def stored_page(root: Path) -> str:
 
 
 def _write(path: Path, text: str) -> None:
-    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_text(path, text)

@@ -33,7 +33,7 @@ LINES_KEPT = 3  # of what a process said last
 
 
 @dataclass
-class Outcome:
+class ProcessOutcome:
     """The result of a process."""
 
     status: str
@@ -46,7 +46,7 @@ class Outcome:
         return {"status": self.status, "error": self.error, **self.state}
 
 
-def run_process(script: Path, request: dict[str, Any], limit: float, kernel_cache: str | None) -> Outcome:
+def run_process(script: Path, request: dict[str, Any], limit: float, kernel_cache: str | None) -> ProcessOutcome:
     """Let `script --worker` do what `request` says, each step within `limit` seconds.
 
     `kernel_cache` is the folder of compiled kernels that a copy is made of, `COLD` for an empty one, None to use the
@@ -116,7 +116,7 @@ def _end(process: subprocess.Popen) -> None:
     process.wait()
 
 
-def _outcome(code: int, in_time: bool, folder: Path, said: Path, request: dict, limit: float) -> Outcome:
+def _outcome(code: int, in_time: bool, folder: Path, said: Path, request: dict, limit: float) -> ProcessOutcome:
     state = json.loads((folder / STATE).read_text(encoding="utf-8")) if (folder / STATE).exists() else {}
     error, doing = state.pop("error", ""), state.pop("doing", "starting Blender")
     pictures = {
@@ -131,9 +131,9 @@ def _outcome(code: int, in_time: bool, folder: Path, said: Path, request: dict, 
             f"{name} was ended in the step “{doing}”, which took more than {limit:g} s: raise --limit, or lower "
             "--width or --samples"
         )
-        return Outcome(TIMED_OUT, error=text, **made)
+        return ProcessOutcome(TIMED_OUT, error=text, **made)
     if error:
-        return Outcome(FAILED, error=error, **made)
+        return ProcessOutcome(FAILED, error=error, **made)
     if code:
         lines = [line.strip() for line in said.read_text(errors="replace").splitlines() if line.strip()]
         how = f"signal {-code} ({signal.Signals(-code).name})" if code < 0 else f"exit code {code}"
@@ -142,5 +142,5 @@ def _outcome(code: int, in_time: bool, folder: Path, said: Path, request: dict, 
             f"Blender's process ended with {how} in the step “{doing}” of {name}; it said last: {last}. Try the file "
             "in Blender itself: if that crashes too, delete what crashes it (often a fluid or a cache) in a copy"
         )
-        return Outcome(CRASHED, error=text, **made)
-    return Outcome(DONE, **made)
+        return ProcessOutcome(CRASHED, error=text, **made)
+    return ProcessOutcome(DONE, **made)

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from lib.output import OutputError, json_text, write_whole
+from lib.output import OutputError, json_text, write_text, write_whole
 
 from real_files.code import code_of
 from real_files.listing import RealFile
 from real_files.measures import Pair
-from real_files.process import DONE, Outcome
+from real_files.process import DONE, ProcessOutcome
 from real_files.worker import PICTURES, SEEDS, SOURCES
 
 ENGINES = ("CYCLES", "RAYBATCH")
@@ -28,7 +28,7 @@ class Record:
     request: dict[str, Any] = field(default_factory=dict)  # width, samples and others; another one begins anew
     md5: str = ""
     complaint: str = ""  # why no process was started
-    tasks: dict[str, dict[str, Any]] = field(default_factory=dict)  # `Outcome.data` by engine/kind
+    tasks: dict[str, dict[str, Any]] = field(default_factory=dict)  # `ProcessOutcome.data` by engine/kind
     pictures: dict[str, np.ndarray] = field(default_factory=dict)  # float32 [height, width, 4], by engine/step
 
     def is_done(self, engine: str, kind: str) -> bool:
@@ -47,7 +47,7 @@ class Record:
         """What it was rendered by, as `code_of`; None where that was not written down."""
         return self.tasks.get(f"{engine}/{kind}", {}).get("code")
 
-    def take(self, engine: str, kind: str, outcome: Outcome) -> None:
+    def take(self, engine: str, kind: str, outcome: ProcessOutcome) -> None:
         """Keep what came of a process of this code, in place of what there was."""
         self.tasks[f"{engine}/{kind}"] = {**outcome.data(), "code": code_of(engine)}
         begun = f"{engine}/source-"
@@ -116,7 +116,7 @@ class Records:
 
         write_whole(path.with_suffix(".npz"), write_pictures)
         kept = {name: value for name, value in vars(record).items() if name != "pictures"}
-        write_whole(path, lambda temporary: temporary.write_text(json_text(kept) + "\n", encoding="utf-8"))
+        write_text(path, json_text(kept) + "\n")
 
     def _load(self, path: Path) -> Record | None:
         """None for what is not there, or cannot be read: it is rendered anew."""

@@ -15,8 +15,7 @@ from converging.reference import core_digest
 from rendering.standalone import resized
 
 from raybatch_addon.blender.kernel_cache import kernel_cache_folder
-from raybatch_addon.core.convergence.errors import relmse, rmse
-from raybatch_addon.core.convergence.fit import known
+from raybatch_addon.core.convergence.errors import known, relmse, rmse
 from raybatch_addon.core.convergence.points import (
     ConvergenceRecorder,
     Reference,

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from lib.command import UsageError
-from lib.output import write_whole
+from lib.output import write_text
 
 from studies.study import Report
 
@@ -52,7 +52,7 @@ def put_fragment(page: Path, name: str, title: str, fragment: str) -> None:
     else:
         text = f"# {title}\n\n{block}\n"
     page.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(page, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_text(page, text)
 
 
 def machine(report: Report) -> str:

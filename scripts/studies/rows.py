@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from lib.command import UsageError
-from lib.output import write_whole
+from lib.output import write_text
 
 from studies.study import Report, Row
 
@@ -67,9 +67,7 @@ def read_rows(path: Path) -> tuple[dict[str, Any], list[Row]]:
     lines = text.splitlines()
     if lines and not text.endswith("\n"):
         path_lines = lines[:-1]
-        write_whole(
-            path, lambda temporary: temporary.write_text("".join(f"{line}\n" for line in path_lines), encoding="utf-8")
-        )
+        write_text(path, "".join(f"{line}\n" for line in path_lines))
         lines = path_lines
     try:
         header, *rows = [json.loads(line) for line in lines]
@@ -109,7 +107,7 @@ def write_report(path: Path, report: Report) -> None:
     rows = ",\n".join(json.dumps(row, allow_nan=False) for row in report["rows"])
     text = json.dumps(head, indent=1)[:-2] + ',\n "rows": [\n' + rows + "\n]}\n"
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_text(path, text)
 
 
 def read_report(path: Path) -> Report:

@@ -19,7 +19,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
 
-from lib.output import json_text
+from lib.output import json_text, write_text
 from real_files.measures import Spread
 from real_files.rows import BLACK, EQUAL, SAME, VARIANCE
 
@@ -125,7 +125,7 @@ def main(arguments: list[str]) -> int:
     folders = [Path(each) for each in arguments if each != "--check"]
     if folders:
         reports = [json.loads((folder / "results.json").read_text(encoding="utf-8")) for folder in folders]
-        DATA.write_text(json_text([kept(each) for each in reports]) + "\n", encoding="utf-8")
+        write_text(DATA, json_text([kept(each) for each in reports]) + "\n")
     return write_or_check(PAGE, updated, "scripts/tables/equal_error_table.py", arguments)
 
 

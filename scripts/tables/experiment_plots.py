@@ -14,11 +14,12 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path[:0] = [str(folder) for folder in Path(__file__).resolve().parents[1:3]]
 
 import matplotlib
 
 matplotlib.use("svg")
+from lib.output import write_text
 from matplotlib import pyplot
 
 from tables.experiment_data import FOLDER, NAMES, PLAIN, RAYS, REFILL, cases, load, rate_text, title
@@ -249,7 +250,7 @@ def main() -> None:
     text = PAGE.read_text(encoding="utf-8")
     for name, part in parts.items():
         text = with_part(text, f"<!-- {name} -->", "<!-- end -->", part, PAGE)
-    PAGE.write_text(text, encoding="utf-8")
+    write_text(PAGE, text)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
 
-from lib.output import json_text
+from lib.output import json_text, write_text
 from real_files.measures import Spread
 
 from tables.equal_error_table import PAGE, row
@@ -79,7 +79,7 @@ def main(arguments: list[str]) -> int:
     reports = [Path(each) for each in arguments if each != "--check"]
     if reports:
         found = [kept(json.loads(path.read_text(encoding="utf-8"))) for path in reports]
-        DATA.write_text(json_text(found) + "\n", encoding="utf-8")
+        write_text(DATA, json_text(found) + "\n")
     return write_or_check(PAGE, updated, "scripts/tables/gpu_slopes_table.py", arguments)
 
 

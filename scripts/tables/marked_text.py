@@ -8,6 +8,8 @@ import textwrap
 from collections.abc import Callable
 from pathlib import Path
 
+from lib.output import write_text
+
 WIDTH = 120  # columns of a document
 
 
@@ -44,7 +46,7 @@ def write_or_check(page: Path, updated: Callable[[str], str], script: str, argum
     text = page.read_text(encoding="utf-8")
     new = updated(text)
     if "--check" not in arguments:
-        page.write_text(new, encoding="utf-8")
+        write_text(page, new)
         return 0
     if new != text:
         print(f"{page} is not up to date: run python {script}", file=sys.stderr)

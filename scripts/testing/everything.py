@@ -14,6 +14,8 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
 
+from lib.output import write_text
+
 from testing.checks import CHECKS, Check
 from testing.page import gpu_row, write_page
 from testing.report import commit, today
@@ -75,7 +77,7 @@ def main(arguments: list[str] | None = None) -> int:
         row = state.get(name)
         if options.again or row is None or row["commit"] != commit():
             row = state[name] = run_check(name, CHECKS[name])
-            STATE.write_text(json.dumps(state, indent=1) + "\n", encoding="utf-8")
+            write_text(STATE, json.dumps(state, indent=1) + "\n")
             write_page([row])
         rows.append(row)
         counts = ", ".join(f"{row[each]} {each}" for each in ("passed", "failed", "skipped"))

@@ -9,7 +9,9 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from testing.outcomes import FAILED, PASSED, SKIPPED, Outcome
+from lib.output import write_text
+
+from testing.outcomes import FAILED, PASSED, SKIPPED, CheckOutcome
 from testing.report import commit, today
 from testing.run_units import BROKEN, DONE, RUNNING, STOPPED, WAITING, UnitRun
 
@@ -50,7 +52,7 @@ def report_of(runs: Sequence[UnitRun], part: tuple[int, int], device: str, secon
     }
 
 
-def _row(outcome: Outcome) -> dict[str, Any]:
+def _row(outcome: CheckOutcome) -> dict[str, Any]:
     row = {"name": outcome.name, "outcome": outcome.outcome, "seconds": outcome.seconds}
     return row | ({"note": outcome.note} if outcome.note else {})
 
@@ -58,9 +60,7 @@ def _row(outcome: Outcome) -> dict[str, Any]:
 def write_report(path: Path, report: dict[str, Any]) -> None:
     """Write it whole: a reader sees the report before or this one."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_suffix(".new")
-    temporary.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
-    os.replace(temporary, path)
+    write_text(path, json.dumps(report, indent=1) + "\n")
 
 
 def summary(report: dict[str, Any]) -> str:

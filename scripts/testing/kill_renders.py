@@ -21,7 +21,7 @@ for folder in Path(__file__).resolve().parents[1:3]:  # of the scripts, and of t
 
 import numpy as np
 from lib.command import UsageError, run_command
-from lib.output import OutputFolders, leave, write_report
+from lib.output import OutputFolders, leave, write_report, write_text
 from tables.marked_text import with_part
 
 from testing.report import commit, today
@@ -51,7 +51,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
 
 
 @dataclass
-class Outcome:
+class KillOutcome:
     """The result of the renders of one scene with the settings of one variant."""
 
     scene: str
@@ -72,7 +72,7 @@ class Killed:
         self._session, self._path, self._folder = session, path, folder
         self._scene, settings = load_scene(path)
         self._settings = settings.replace(**VARIANTS[variant], device="cpu", sample_count=32)
-        self.outcome = Outcome(path.name, variant)
+        self.outcome = KillOutcome(path.name, variant)
         session.render(self._scene, self._settings)  # kernels are compiled
         start = time.perf_counter()
         session.render(self._scene, self._settings)
@@ -230,7 +230,7 @@ def run(options: argparse.Namespace, folders: OutputFolders, standard_output: IO
     write_report(options.json, report, table, standard_output)
     if options.page:
         text = options.page.read_text(encoding="utf-8")
-        options.page.write_text(with_part(text, *MARKS, table, options.page), encoding="utf-8")
+        write_text(options.page, with_part(text, *MARKS, table, options.page))
     return int(any(each.faults for each in outcomes))
 
 

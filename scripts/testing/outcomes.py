@@ -19,7 +19,7 @@ NOTE_LENGTH = 2000  # characters of a failure that are kept: its end
 
 
 @dataclass(frozen=True)
-class Outcome:
+class CheckOutcome:
     """One test, or one case with one tracer."""
 
     name: str
@@ -28,18 +28,18 @@ class Outcome:
     note: str = ""  # why it failed, or was skipped
 
 
-def write_outcome(outcome: Outcome) -> None:
+def write_outcome(outcome: CheckOutcome) -> None:
     """Add a line to the file of `FILE_VARIABLE`."""
     with open(os.environ[FILE_VARIABLE], "a", encoding="utf-8") as file:
         file.write(json.dumps(asdict(outcome)) + "\n")
 
 
-def read_outcomes(path: Path) -> list[Outcome]:
+def read_outcomes(path: Path) -> list[CheckOutcome]:
     """The lines that are whole; none where there is no file."""
     if not path.exists():
         return []
     lines = path.read_text(encoding="utf-8").split("\n")[:-1]  # the last one may be half written
-    return [Outcome(**json.loads(line)) for line in lines]
+    return [CheckOutcome(**json.loads(line)) for line in lines]
 
 
 def share_of(count: int, share: str) -> range:
@@ -60,7 +60,7 @@ def pytest_collection_modifyitems(config, items):
 def pytest_collectreport(report):
     """A file that cannot be read is a failure."""
     if report.failed:
-        write_outcome(Outcome(report.nodeid, FAILED, 0.0, str(report.longrepr)[-NOTE_LENGTH:]))
+        write_outcome(CheckOutcome(report.nodeid, FAILED, 0.0, str(report.longrepr)[-NOTE_LENGTH:]))
 
 
 def pytest_runtest_logreport(report):
@@ -71,4 +71,4 @@ def pytest_runtest_logreport(report):
             note = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
         elif report.failed:
             note = str(report.longrepr)[-NOTE_LENGTH:]
-        write_outcome(Outcome(report.nodeid, report.outcome, round(report.duration, 2), note))
+        write_outcome(CheckOutcome(report.nodeid, report.outcome, round(report.duration, 2), note))

@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterable
 from typing import Any
 
+from lib.output import write_text
 from tables.marked_text import with_part
 
 from testing.report import ROOT
@@ -62,5 +63,5 @@ def write_page(rows: Iterable[dict[str, Any]]) -> None:
     """Store `rows` over those of the same checks, and show all."""
     by_name = {row["check"]: row for row in stored_rows()}
     by_name |= {row["check"]: row | {"failures": row["failures"][:FAILURES]} for row in rows}
-    STORED.write_text(json.dumps(list(by_name.values()), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    PAGE.write_text(updated(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    write_text(STORED, json.dumps(list(by_name.values()), indent=1, ensure_ascii=False) + "\n")
+    write_text(PAGE, updated(PAGE.read_text(encoding="utf-8")))

@@ -11,7 +11,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
 
-from testing.outcomes import FAILED, PASSED, SKIPPED, Outcome, write_outcome
+from testing.outcomes import FAILED, PASSED, SKIPPED, CheckOutcome, write_outcome
 
 
 def main(arguments: list[str]) -> int:
@@ -32,7 +32,7 @@ def main(arguments: list[str]) -> int:
             if event.failed and event.invalid_samples:
                 note += f" {event.invalid_samples} of {event.samples} samples were invalid"
             write_outcome(
-                Outcome(f"{event.case.name} ({event.tracer})", outcome, round(event.seconds, 2), note.strip())
+                CheckOutcome(f"{event.case.name} ({event.tracer})", outcome, round(event.seconds, 2), note.strip())
             )
             failed |= event.failed
     return int(failed)

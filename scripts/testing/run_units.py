@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from testing.outcomes import FILE_VARIABLE, SHARE_VARIABLE, Outcome, read_outcomes
+from testing.outcomes import FILE_VARIABLE, SHARE_VARIABLE, CheckOutcome, read_outcomes
 from testing.report import ROOT
 from testing.units import Unit
 
@@ -36,7 +36,7 @@ class UnitRun:
     process: subprocess.Popen | None = field(default=None, repr=False)
 
     @property
-    def outcomes(self) -> list[Outcome]:
+    def outcomes(self) -> list[CheckOutcome]:
         """What ended so far."""
         return read_outcomes(self.lines)
 

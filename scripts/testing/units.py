@@ -13,6 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from lib.output import write_text
+
 from testing.report import ROOT
 from tests.stability.case import Case
 from tests.stability.cases import all_cases
@@ -52,7 +54,7 @@ def store_seconds(seconds: dict[str, float]) -> None:
     """Write `seconds` over those that are stored."""
     merged = stored_seconds() | seconds
     lines = [f"{json.dumps(name)}: {round(merged[name], 1)}" for name in sorted(merged)]
-    STORED.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+    write_text(STORED, "{\n" + ",\n".join(lines) + "\n}\n")
 
 
 def all_units() -> list[Unit]:

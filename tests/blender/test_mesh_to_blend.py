@@ -8,6 +8,16 @@ from tests.support.command_line import run_script
 bpy = pytest.importorskip("bpy")
 
 
+def test_bad_input_is_an_error_in_a_line(tmp_path):
+    (tmp_path / "bad.npz").write_bytes(b"no archive")
+    done = run_script("mesh_to_blend.py", tmp_path / "bad.npz", tmp_path / "out.blend", "--stage")
+    assert done.returncode == 1 and done.stderr.startswith("mesh_to_blend.py: error: "), done.stderr
+    np.savez(tmp_path / "lacking.npz", v=np.zeros((3, 3), np.float32))
+    done = run_script("mesh_to_blend.py", tmp_path / "lacking.npz", tmp_path / "out.blend", "--stage")
+    assert done.returncode == 1 and "f is not a file in the archive" in done.stderr, done.stderr
+    assert not (tmp_path / "out.blend").exists()
+
+
 @pytest.mark.parametrize("flat", [False, True])
 def test_normals_are_interpolated_unless_flat_ones_are_asked_for(flat, addon, tmp_path):
     corners = np.float32([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 1]])

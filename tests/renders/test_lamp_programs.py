@@ -19,10 +19,10 @@ from raybatch_addon.core.scene.validate import checked_scene
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.shading.images.textures import ImageTable
 from raybatch_addon.core.shading.lights.lamp_program import upload_lamp_programs
-from raybatch_addon.core.shading.lights.light_table import upload_lights
+from raybatch_addon.core.shading.lights.table import upload_lights
 from raybatch_addon.core.wavefront.estimates.launch import brightness_of_lamps
 from raybatch_addon.core.wavefront.kernels import StageKernels
-from raybatch_addon.core.wavefront.scene.scene_data import SceneData
+from raybatch_addon.core.wavefront.scene.shading_data import SceneData
 from raybatch_addon.core.wavefront.stages.connect import make_connect
 from raybatch_addon.core.wavefront.stages.stage import stage_kernel
 from raybatch_addon.core.wavefront.stages.work import ShadingStage

@@ -12,7 +12,7 @@ import pytest
 from compare import main
 from real_files import code, comparison, manual, records
 from real_files.listing import RealFile, files_named, may_be_shown, read_listing
-from real_files.process import COLD, CRASHED, DONE, FAILED, TIMED_OUT, Outcome, run_process
+from real_files.process import COLD, CRASHED, DONE, FAILED, TIMED_OUT, ProcessOutcome, run_process
 from real_files.tables import alike
 from real_files.worker import PICTURES
 
@@ -122,14 +122,14 @@ def rendered(monkeypatch):
     def run(script, request, limit, kernel_cache):
         calls.append(f"{request['engine']} {Path(request['file']).name}")
         if request["engine"] == "RAYBATCH" and run.failing:
-            return Outcome(CRASHED, error="it crashed")
+            return ProcessOutcome(CRASHED, error="it crashed")
         images = {
             f"all-{seed}": np.full((16, 16, 4), 0.5 + seed * 1e-3 * (len(calls) % 3), np.float32) for seed in (1, 2)
         }
         steps = [
             {"name": name, "seconds": 0.5, "warnings": ["volume “fog” is left out"]} for name in ("first", "all-2")
         ]
-        return Outcome(DONE, {"steps": steps, "versions": {"RayBatch": "1"}}, pictures=images)
+        return ProcessOutcome(DONE, {"steps": steps, "versions": {"RayBatch": "1"}}, pictures=images)
 
     run.failing = False
     run.calls = calls
@@ -244,7 +244,7 @@ def test_what_is_alike_but_for_names_is_reported_once():
 
 
 def test_results_do_not_reveal_where_files_lie(blends, tmp_path, monkeypatch):
-    places = Outcome(FAILED, {"missing": [f"{tmp_path}/textures/wood.png"]}, f"{blends[0]} is bad")
+    places = ProcessOutcome(FAILED, {"missing": [f"{tmp_path}/textures/wood.png"]}, f"{blends[0]} is bad")
     monkeypatch.setattr(comparison, "run_process", lambda *_: places)
     main([blends[0], "--out", str(tmp_path / "out")])
     (row,) = report_in(tmp_path / "out")["files"]

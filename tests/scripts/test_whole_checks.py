@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from testing import everything, page
 from testing.gpu_report import report_of, seconds_in, summary
-from testing.outcomes import Outcome, read_outcomes, share_of
+from testing.outcomes import CheckOutcome, read_outcomes, share_of
 from testing.run_units import BROKEN, DONE, STOPPED, UnitRun, run_units
 from testing.units import FOLDERS, ROOT, Unit, all_units, part_of
 
@@ -24,7 +24,7 @@ class PythonUnit(Unit):
     """Runs its name's code, and writes an outcome before."""
 
     def command(self, device: str) -> list[str]:
-        write = "from testing.outcomes import *; write_outcome(Outcome('a::b', 'passed', 2.0)); "
+        write = "from testing.outcomes import *; write_outcome(CheckOutcome('a::b', 'passed', 2.0)); "
         return ["python3", "-c", write + PYTHON_UNITS[self.name]]
 
 
@@ -72,7 +72,7 @@ def test_a_line_that_is_half_written_is_left_out(tmp_path):
     path = tmp_path / "lines"
     assert read_outcomes(path) == []
     path.write_text('{"name": "a", "outcome": "passed", "seconds": 1.0, "note": ""}\n{"name": "b", "outc')
-    assert read_outcomes(path) == [Outcome("a", "passed", 1.0)]
+    assert read_outcomes(path) == [CheckOutcome("a", "passed", 1.0)]
 
 
 def test_the_page_shows_what_is_stored():

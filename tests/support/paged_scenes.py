@@ -7,7 +7,7 @@ import warp as wp
 
 from raybatch_addon.core.bvh.build.encode import as_vectors
 from raybatch_addon.core.bvh.node import BOXES_NODE, EMPTY_CHILD, QUANTISED_NODE, Layout, aligned_empty
-from raybatch_addon.core.bvh.pages.build import PagedScene
+from raybatch_addon.core.bvh.pages.paged_scene import PagedScene
 from raybatch_addon.core.bvh.pages.store import page_buffer
 from raybatch_addon.core.bvh.tree import Tree
 from raybatch_addon.core.scene.description import Mesh, Scene, Visibility

@@ -16,7 +16,7 @@ from ..film.tile import add_integers_kernel
 from ..scene.description import ClosureKind
 from ..scene.features import SCATTERING, SceneFeatures
 from ..settings.settings import RenderSettings
-from ..shading.lights.light_tree import LIGHT_TREE_KERNELS
+from ..shading.lights.tree.kernels import LIGHT_TREE_KERNELS
 from ..sky.scattering_kernels import SKY_KERNELS
 from ..wavefront.kernels import StageKernels, common_features, plain_features, tracing_kernels, without_programs
 from ..wavefront.plan.plan import Method, TracingPlan

@@ -10,7 +10,7 @@ from typing import Any
 import warp as wp
 
 from ..convergence.reference import NOT_SHOWN, digest_of_value
-from ..film.layout import layout_of
+from ..film.channels import layout_of
 from ..measure.statistics import versions
 from ..scene.description import Frame, Scene
 from ..scene.passes import matte_kinds

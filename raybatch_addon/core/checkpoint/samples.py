@@ -12,8 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..film.channels import ChannelLayout
 from ..film.host_samples import HostSamples
-from ..film.layout import COST_PASSES, FIRST_SAMPLE_PASSES, ChannelLayout, channels_of
+from ..film.layout import COST_PASSES, FIRST_SAMPLE_PASSES, channels_of
 from ..film.mattes import Mattes
 from ..film.sums import WIDE_DIGITS, WINDOW_DIGITS, ExactSums, no_wide, normalised
 from ..scene.passes import matte_kinds

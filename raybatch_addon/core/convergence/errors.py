@@ -6,6 +6,8 @@ All pictures are linear RGB, shape [height, width, 3]; whatever their type, erro
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +18,52 @@ from ..errors import RayBatchError
 RELMSE_OFFSET = 0.01
 # Most that a channel of a pixel counts for in `relmse_cut`
 RELMSE_MOST = 10.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class ErrorPoint:
+    """How far a render had come at one of its snapshots. Errors of a reference are in them: nothing is subtracted."""
+
+    seconds: float  # of rendering alone
+    seconds_total: float  # with build and compile
+    samples: float  # of every pixel, or where they differ in the mean
+    rays: dict[str, int]  # by kind
+    rmse: float
+    relmse: float
+    relmse_cut: float | None = None  # the same, no pixel counting for more than `RELMSE_MOST`; None: not known
+    flip: float | None = None  # mean FLIP, where somebody gave a function for it
+    invalid_samples: int = 0
+    # standard error of `rmse`, from how the squared error varies from pixel to pixel; None: one pixel
+    rmse_spread: float | None = None
+    # What the reference's own noise adds (`noise_floor`), 0 for a closed form; None: not known
+    floor_rmse: float | None = None
+    floor_relmse: float | None = None
+    samples_most: int = 0  # of the pixels that have most; 0: `samples`
+    from_halves: bool = False  # estimated from two halves of the render, without a reference: a bias is not in it
+
+    @property
+    def relmse_most(self) -> float:
+        """relMSE that no firefly rules, as far as it is known."""
+        return self.relmse if self.relmse_cut is None else self.relmse_cut
+
+    def data(self) -> dict[str, Any]:
+        """For JSON; None is what is not known."""
+        return {
+            "seconds": self.seconds,
+            "samples": self.samples,
+            "rmse": known(self.rmse),
+            "relmse": known(self.relmse),
+            "relmse_cut": known(self.relmse_cut),
+            "flip": known(self.flip),
+            "seconds_total": self.seconds_total,
+            "rays": self.rays or None,
+            "invalid_samples": self.invalid_samples,
+        }
+
+
+def known(value: float | None) -> float | None:
+    """`value`; None where it is not finite, which JSON cannot say."""
+    return value if value is not None and math.isfinite(value) else None
 
 
 def squared_error(picture: np.ndarray, reference: np.ndarray) -> np.ndarray:

@@ -23,12 +23,11 @@ import math
 import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from .points import ErrorPoint
+from .errors import ErrorPoint, known
 
 # Slope of log(RMSE) against log(samples) of independent samples
 INDEPENDENT_SLOPE = -0.5
@@ -78,11 +77,6 @@ def slope_data(slope: Slope | None) -> dict[str, Any]:
         "flattens": slope.flattens,
         "says": slope.says,
     }
-
-
-def known(value: float | None) -> float | None:
-    """`value`; None where it is not finite, which JSON cannot say."""
-    return value if value is not None and math.isfinite(value) else None
 
 
 def fit_slope(points: Sequence[ErrorPoint], by: str = "samples") -> Slope | None:

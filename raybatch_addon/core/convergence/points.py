@@ -13,14 +13,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..errors import RayBatchError
 from ..observers import RenderObserver
 from .errors import (
+    ErrorPoint,
     relative_to,
     relative_to_halves,
     relmse,
@@ -31,7 +31,7 @@ from .errors import (
     squared_error,
     squared_error_of_halves,
 )
-from .fit import Slope, efficiency, fit_slope, known, slope_data, time_to
+from .fit import Slope, efficiency, fit_slope, slope_data, time_to
 from .reference import PICTURE_SETTINGS, Reference, load_reference, noise_floor, save_reference, scene_hash
 
 if TYPE_CHECKING:
@@ -58,47 +58,6 @@ __all__ = [
     "slope_data",
     "time_to",
 ]
-
-
-@dataclass(frozen=True, kw_only=True)
-class ErrorPoint:
-    """How far a render had come at one of its snapshots. Errors of a reference are in them: nothing is subtracted."""
-
-    seconds: float  # of rendering alone
-    seconds_total: float  # with build and compile
-    samples: float  # of every pixel, or where they differ in the mean
-    rays: dict[str, int]  # by kind
-    rmse: float
-    relmse: float
-    relmse_cut: float | None = None  # the same, no pixel counting for more than `RELMSE_MOST`; None: not known
-    flip: float | None = None  # mean FLIP, where somebody gave a function for it
-    invalid_samples: int = 0
-    # standard error of `rmse`, from how the squared error varies from pixel to pixel; None: one pixel
-    rmse_spread: float | None = None
-    # What the reference's own noise adds (`noise_floor`), 0 for a closed form; None: not known
-    floor_rmse: float | None = None
-    floor_relmse: float | None = None
-    samples_most: int = 0  # of the pixels that have most; 0: `samples`
-    from_halves: bool = False  # estimated from two halves of the render, without a reference: a bias is not in it
-
-    @property
-    def relmse_most(self) -> float:
-        """relMSE that no firefly rules, as far as it is known."""
-        return self.relmse if self.relmse_cut is None else self.relmse_cut
-
-    def data(self) -> dict[str, Any]:
-        """For JSON; None is what is not known."""
-        return {
-            "seconds": self.seconds,
-            "samples": self.samples,
-            "rmse": known(self.rmse),
-            "relmse": known(self.relmse),
-            "relmse_cut": known(self.relmse_cut),
-            "flip": known(self.flip),
-            "seconds_total": self.seconds_total,
-            "rays": self.rays or None,
-            "invalid_samples": self.invalid_samples,
-        }
 
 
 def geometric_samples(sample_count: int, ratio: float = 2.0, first: int = 1) -> list[int]:

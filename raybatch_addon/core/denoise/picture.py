@@ -20,7 +20,7 @@ _INPUTS = {_ALBEDO: "albedo", _NORMAL: "normal"}  # as the library calls them
 
 def guiding_passes(settings: RenderSettings) -> tuple[str, ...]:
     """Passes that a render needs so that it can be denoised with `settings`; none where it is not."""
-    return _GUIDES[settings.denoise_inputs] if settings.denoise == "ON" else ()
+    return _GUIDES[settings.denoise_inputs] if settings.is_on("denoise") else ()
 
 
 def noisy_pictures(passes: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -9,14 +9,11 @@ which its alpha says; or the shadows lie there as black that covers what is behi
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..scene.passes import CATCHER_ALPHA, CATCHER_LIGHT, CATCHER_PASS, CATCHER_SHADOWS, CAUGHT_LIGHT, CAUGHT_WORLD
-
-if TYPE_CHECKING:
-    from .layout import ChannelLayout
+from .channels import ChannelLayout
 
 Means = Callable[[str], np.ndarray]
 

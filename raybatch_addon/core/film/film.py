@@ -13,8 +13,9 @@ import warp as wp
 from ..errors import RayBatchError
 from ..scene.description import Frame
 from ..scene.passes import CAUGHT_LIGHT, matte_kinds
+from .channels import ChannelLayout, layout_of
 from .host_samples import HostSamples
-from .layout import ChannelLayout, channels_of, layout_of, mean_colors, split_passes
+from .layout import channels_of, mean_colors, split_passes
 from .sums import WIDE_DIGITS, ExactSums, means_of, normalised
 from .tile import FinishedTile
 

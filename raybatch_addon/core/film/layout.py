@@ -1,9 +1,8 @@
-"""Which passes a film has, and where they lie among the channels of a pixel."""
+"""Passes as a film shows them, made of the means of its channels."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,60 +18,14 @@ from ..scene.passes import (
     VECTOR,
     VECTOR_WEIGHT,
     channels_of,
-    summed_passes,
 )
 from .caught import CATCHER_PICTURES
+from .channels import ChannelLayout
 
-__all__ = ["COST_PASSES", "FIRST_SAMPLE_PASSES", "PASSES", "SAMPLE_COUNT", "ChannelLayout", "channels_of", "layout_of"]
+__all__ = ["COST_PASSES", "FIRST_SAMPLE_PASSES", "PASSES", "SAMPLE_COUNT", "channels_of"]
 
 # The colour that light of a pass is divided by
 _DIVIDED_BY = dict(zip((*DIRECT_PASSES, *INDIRECT_PASSES), 2 * COLOR_PASSES))
-
-
-@dataclass(frozen=True)
-class ChannelLayout:
-    """Where the summed passes lie among the channels of a pixel's sums."""
-
-    transparent: bool  # alpha is summed too; otherwise it is 1
-    normal: bool
-    others: tuple[str, ...] = ()  # `summed_passes`
-
-    @property
-    def others_first(self) -> int:
-        """The first channel of `others`."""
-        return 3 + self.transparent + 3 * self.normal
-
-    @property
-    def others_count(self) -> int:
-        """Channels of `others`."""
-        return sum(channels_of(name) for name in self.others)
-
-    @property
-    def count(self) -> int:
-        """Channels of a pixel."""
-        return self.others_first + self.others_count
-
-    @property
-    def kind(self) -> ChannelLayout:
-        """What kernels are specialised on: the same for all layouts that have `others`, whose number kernels read."""
-        return replace(self, others=self.others and ("Mist",))
-
-    def span(self, name: str) -> slice:
-        """Channels of the pass `name`; raises `ValueError` for a pass that is not summed."""
-        color = 3 + self.transparent
-        if name == "Combined":
-            return slice(0, color)
-        if name == "Normal" and self.normal:
-            return slice(color, color + 3)
-        if name in self.others:
-            first = self.others_first + sum(channels_of(each) for each in self.others[: self.others.index(name)])
-            return slice(first, first + channels_of(name))
-        raise ValueError(f"the pass {name!r} has no channels among the sums of a film: give it some in `ChannelLayout`")
-
-
-def layout_of(passes: tuple[str, ...], transparent: bool) -> ChannelLayout:
-    """The layout for these passes."""
-    return ChannelLayout(transparent, "Normal" in passes, summed_passes(passes))
 
 
 def split_passes(

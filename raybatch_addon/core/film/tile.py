@@ -13,17 +13,9 @@ import warp as wp
 
 from ..device.kernel import KERNEL_OPTIONS
 from ..scene.passes import matte_kinds
+from .channels import ChannelLayout
 from .host_samples import HostSamples
-from .layout import (
-    COST_PASSES,
-    FIRST_SAMPLE_PASSES,
-    SAMPLE_COUNT,
-    ChannelLayout,
-    channels_of,
-    mean_costs,
-    sample_counts,
-    shown_pass,
-)
+from .layout import COST_PASSES, FIRST_SAMPLE_PASSES, SAMPLE_COUNT, channels_of, mean_costs, sample_counts, shown_pass
 from .mattes import MatteEntry, Mattes, MatteTile, matte_tile, mattes_on_device
 from .rounding import rounded_sum
 from .sums import WIDE_DIGITS, WINDOW_DIGITS, ExactSums, add_wide, no_wide

@@ -180,7 +180,9 @@ class LiveRender:
     def _render_coarse(self, session: Session, request: LiveRequest, side: int) -> bool:
         scene, stops = coarse(request.scene, side), lambda: self._stops(request)
         canvas = TileCanvas(scene.frame)
-        film = self._timed(session, request, scene, request.settings.replace(sample_count=1), side, canvas, stops)
+        film = self._timed(
+            session, request, scene, request.settings.replace(sample_count=1), side=side, canvas=canvas, stops=stops
+        )
         if not film.complete:
             return False
         self._show(LivePicture(request, canvas.picture(), side, canvas.origin, 1))
@@ -200,7 +202,17 @@ class LiveRender:
             film = resumed
             shown.ended = self._show_fine(request, canvas, side, request.settings.sample_count)
         else:
-            film = self._timed(session, request, scene, request.settings, side, canvas, stops, shown, resumed)
+            film = self._timed(
+                session,
+                request,
+                scene,
+                request.settings,
+                side=side,
+                canvas=canvas,
+                stops=stops,
+                shown=shown,
+                resumed=resumed,
+            )
         if film.complete and shown.ended:
             self.warnings = tuple(film.statistics["warnings"])
             self.state = LiveState(
@@ -217,6 +229,7 @@ class LiveRender:
         request: LiveRequest,
         scene: Scene,
         settings: RenderSettings,
+        *,
         side: int,
         canvas: TileCanvas,
         stops: Callable[[], bool],

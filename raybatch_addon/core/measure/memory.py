@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 from ..bvh.memory import TREE_BYTES, GeometrySize
 from ..bvh.node import Layout
-from ..film.layout import channels_of, layout_of
+from ..film.channels import layout_of
+from ..film.layout import channels_of
 from ..film.sums import WINDOW_DIGITS
 from ..scene.description import Frame
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -280,14 +280,14 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
         passes=tuple(scene.frame.passes),
         sample_sequence=settings.sample_sequence,
         nee=settings.nee,
-        mis=settings.mis == "ON" or settings.nee == "OFF",
+        mis=settings.is_on("mis") or settings.nee == "OFF",
         clamping=settings.clamp_direct > 0 or settings.clamp_indirect > 0,
         roulette=settings.roulette_bounce <= settings.bounce_max,
         adaptive=settings.is_adaptive,
         bounces_by_kind=settings.counts_bounces_by_kind,
         filter_glossy=settings.filter_glossy > 0,
-        caustics_reflective=settings.caustics_reflective == "ON",
-        caustics_refractive=settings.caustics_refractive == "ON",
+        caustics_reflective=settings.is_on("caustics_reflective"),
+        caustics_refractive=settings.is_on("caustics_refractive"),
         light_links=links_lights(scene),
         shadow_links=is_sampled and links_shadows(scene),
         catchers=surfaces and shows_catchers(scene.frame.passes) and bool(catchers(scene).any()),
@@ -334,6 +334,6 @@ def _can_be_met(light) -> bool:
     raise ValueError(f"there is no rule for whether rays meet lights of kind {light.kind!r}: add one here")
 
 
-def narrow(features: Any, kind: type[T]) -> T:
+def narrow(features: object, kind: type[T]) -> T:
     """The part of `features` that `kind`, a dataclass, has: its fields are fields or properties of `features`."""
     return kind(**{field.name: getattr(features, field.name) for field in dataclasses.fields(kind)})

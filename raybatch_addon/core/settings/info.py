@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -120,22 +120,22 @@ class SettingInfo:
 
 
 def setting(
-    default,
-    label,
-    description,
+    default: Any,
+    label: str,
+    description: str,
     *,
-    group,
-    effect="estimator",
-    unit="",
-    minimum=None,
-    maximum=None,
-    least=0,
-    multiple=1,
-    choices=(),
-    auto=None,
-    off=None,
-    start=None,
-):
+    group: str,
+    effect: str = "estimator",
+    unit: str = "",
+    minimum: float | None = None,
+    maximum: float | None = None,
+    least: int = 0,
+    multiple: int = 1,
+    choices: Iterable[tuple[str, str, str]] = (),
+    auto: Any = None,
+    off: Any = None,
+    start: Any = None,
+) -> Any:
     """A field of a dataclass of settings; for the arguments see `SettingInfo`."""
     metadata = dict(
         label=label,

@@ -76,7 +76,7 @@ class RenderSettings(
 
     def _complaint_of_launches(self) -> str | None:
         """Why a kernel could not be launched so."""
-        if self.single_lane == "ON" and self.warp_count > 1:
+        if self.is_on("single_lane") and self.warp_count > 1:
             return (
                 f"single_lane is ON, so one lane of one warp works, but warp_count is {self.warp_count}; "
                 "set warp_count to 0 or 1, or single_lane to OFF"
@@ -114,7 +114,11 @@ class RenderSettings(
     @property
     def is_adaptive(self) -> bool:
         """Whether some pixels may get fewer samples than others."""
-        return self.adaptive_sampling == "ON"
+        return self.is_on("adaptive_sampling")
+
+    def is_on(self, name: str) -> bool:
+        """Whether the setting `name`, one of those that can be ON, is so."""
+        return getattr(self, name) == "ON"
 
     def replace(self, **changes: Any) -> RenderSettings:
         """A copy with `changes`; raises `SettingsError` for an unknown name or an illegal value."""

@@ -31,7 +31,7 @@ from .passes.state import make_path_passes
 from .path_lists import Length, PathLists
 from .plan.plan import Method
 from .rays import RayNeeds, allocate_paths, allocate_rays
-from .requests.state import give_requests
+from .requests.state import allocate_requests
 from .scene.device_scene import DeviceScene
 from .scheduler import WaterMarks
 from .stages import generate
@@ -79,7 +79,9 @@ class TileIntegrator:
         self._volumes = None  # there are none
         if scene.volumes:
             self._volumes = with_state(scene.volumes.data, count, settings.volume_bounce_max, device)
-        self._requests = give_requests(self._paths, features, device)  # None: nothing asks for rays
+        self._requests = allocate_requests(count, features, device)  # None: nothing asks for rays
+        if self._requests:
+            self._paths.requests = upload_struct(self._requests, device)
         self._media = self._volumes.state if self._volumes else MediaState()
         self._shadow_kind = RayKind.TRANSPARENT_SHADOW if scene.transparent_shadows else RayKind.OCCLUSION
         self._lists = PathLists(count, device, walks=features.subsurface)
@@ -108,9 +110,9 @@ class TileIntegrator:
                 count,
                 self._shadow_kind,
                 settings,
-                self._counters if self._counts_steps else None,
-                self._timer,
-                self._order,
+                counters=self._counters if self._counts_steps else None,
+                timer=self._timer,
+                order=self._order,
             )
         self._cost: wp.array | None = None
         self._mattes = Mattes()  # of the tile, beside those in its slots

@@ -20,7 +20,7 @@ from ..scene.passes import GUIDE_PASSES, light_group_passes
 from ..scene.program import ProgramFeatures
 from ..settings.settings import RenderSettings
 from ..shading.bsdf.materials import HAIR_KINDS
-from ..shading.lights.light_hits import LightHitFeatures
+from ..shading.lights.hits import LightHitFeatures
 from .adaptive.active_pixels import ADAPTIVE_KERNELS
 from .catchers.lives import CATCHER_KERNELS
 from .order.hit_order import KEY_KERNELS, HitKey, sorts_materials
@@ -258,11 +258,11 @@ def _stage_functions(
         ShadingStage.BACKGROUND: lambda: make_background(narrow(shading, BackgroundFeatures)),
         ShadingStage.LIGHT_HITS: lambda: make_light_hits_stage(
             narrow(among, LightHitFeatures),
-            shading.transparency,
-            shading.clamping,
-            shading.subsurface,
-            shading.splits_light,
-            shading.guides,
+            transparency=shading.transparency,
+            clamping=shading.clamping,
+            subsurface=shading.subsurface,
+            splits_light=shading.splits_light,
+            guides=shading.guides,
         ),
         ShadingStage.CONNECT: lambda: (
             make_connect_program(connected)

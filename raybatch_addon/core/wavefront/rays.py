@@ -17,7 +17,7 @@ import warp as wp
 from ..bvh.tree import TRAIL_LEVELS, TopProgress
 from ..rays import Rays
 from ..scene.features import SceneFeatures
-from ..shading.lights.light_choice import LitPoint, lit_point
+from ..shading.lights.choice import LitPoint, lit_point
 from .passes.state import PathPasses, pass_bytes_per_path
 from .requests.state import Requests, request_bytes_per_path
 from .volumes.table import state_bytes_per_path
@@ -179,7 +179,7 @@ def visibility_of(status: int) -> int:
     return (status >> wp.static(VISIBILITY_SHIFT)) & 31
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RayNeeds:
     """Arrays that the rays of a render need, beside origin, direction, `t_max` and `hit_instance`."""
 
@@ -196,36 +196,46 @@ class RayNeeds:
         """
         through = features.transparency
         return RayNeeds(
-            features.shadow_rays,
-            through,
-            through or reference or features.catchers,
-            features.instancing or reference,
-            features.motion,
+            shadow_rays=features.shadow_rays,
+            shadow_hits=through,
+            limits=through or reference or features.catchers,
+            visibility=features.instancing or reference,
+            time=features.motion,
         )
+
+    @property
+    def entries(self) -> dict[str, int]:
+        """Entries for each path, by name of an array of `Rays`; `hit_t` without any shares the memory of `t_max`."""
+        slots = 1 + self.shadow_rays
+        closest = 1 + (self.shadow_rays and self.shadow_hits)
+        return {
+            "origin": slots,
+            "direction": slots,
+            "t_max": slots,
+            "visibility": slots * self.visibility,
+            "time": int(self.time),
+            "hit_t": slots * self.limits,
+            "hit_instance": slots,
+            "hit_primitive": closest,
+            "hit_uv": closest,
+        }
 
     @property
     def bytes_per_path(self) -> int:
         """Device memory of the ray slots of one path [bytes]."""
-        slots = 1 + self.shadow_rays
-        closest = 1 + (self.shadow_rays and self.shadow_hits)
-        return slots * (12 + 12 + 4 + 4 + 4 * self.limits + 4 * self.visibility) + closest * (4 + 8) + 4 * self.time
+        return sum(
+            count * wp.types.type_size_in_bytes(Rays.vars[name].type.dtype) for name, count in self.entries.items()
+        )
 
 
 def allocate_rays(path_count: int, device: wp.Device, needs: RayNeeds = RayNeeds()) -> Rays:
     """`Rays` for `path_count` paths; by default one slot each and every array in full."""
-    slots = path_count * (1 + needs.shadow_rays)
-    closest = slots if needs.shadow_hits else path_count
     rays = Rays()
-    with wp.ScopedDevice(device):
-        rays.origin = wp.zeros(slots, dtype=wp.vec3)
-        rays.direction = wp.zeros(slots, dtype=wp.vec3)
-        rays.t_max = wp.zeros(slots, dtype=float)
-        rays.visibility = wp.zeros(slots if needs.visibility else 0, dtype=int)
-        rays.time = wp.zeros(path_count if needs.time else 0, dtype=float)
-        rays.hit_t = wp.zeros(slots, dtype=float) if needs.limits else rays.t_max
-        rays.hit_instance = wp.full(slots, -1, dtype=int)
-        rays.hit_primitive = wp.zeros(closest, dtype=int)
-        rays.hit_uv = wp.zeros(closest, dtype=wp.vec2)
+    for name, count in needs.entries.items():
+        setattr(rays, name, wp.zeros(path_count * count, dtype=Rays.vars[name].type.dtype, device=device))
+    rays.hit_instance.fill_(-1)
+    if not needs.limits:
+        rays.hit_t = rays.t_max
     return rays
 
 

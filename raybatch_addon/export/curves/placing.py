@@ -4,18 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable
 from dataclasses import replace
-from typing import Any
+from typing import Protocol
 
 import bpy
 
 from ...core.scene.description import Attribute, Mesh
 from ...core.scene.notice import Notice, Weight
 from ..meshes.attributes import lacking_attribute
+from ..meshes.placements import Placements
 from .sources import STRAND_KIND, CurvesSource, ParticleHair, PointsSource, Source
 from .strands import curve_shape
 
 _Asked = list[tuple[str, str]]
 CurveData = bpy.types.Curves | bpy.types.PointCloud | bpy.types.ParticleSystemModifier
+
+
+class MaterialCollector(Protocol):
+    """The pass over a depsgraph, as far as strands and points ask it."""
+
+    placements: Placements
+    viewport: bool
+    material_override: bpy.types.Material | None
+
+    def materials_of(self, obj: bpy.types.Object, data: CurveData) -> list[int]:
+        """The materials of the object's slots."""
 
 
 class StrandMeshes:
@@ -36,7 +48,7 @@ class StrandMeshes:
         self._seen.clear()
 
     def of(
-        self, obj: bpy.types.Object, data: CurveData, collector: Any
+        self, obj: bpy.types.Object, data: CurveData, collector: MaterialCollector
     ) -> tuple[list[int], Callable[[_Asked], int | None]]:
         """Materials of the slots of `data` (curves, points, or the modifier of a particle system) of `obj`, and the
         function that makes its mesh, with attributes.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from itertools import chain
@@ -23,7 +24,18 @@ _CURVE_RADIUS, _POINT_RADIUS = 0.005, 0.01
 STRAND_KIND = "CURVE"
 
 
-class CurvesSource:
+class _Source(ABC):
+    """A data-block whose segments have attributes."""
+
+    def attributes(self, asked: Iterable[tuple[str, str]]) -> list[Attribute]:
+        """Attributes of kind and name `asked`, as far as it has them."""
+        return [found for kind, name in asked if (found := self._attribute(kind, name)) is not None]
+
+    @abstractmethod
+    def _attribute(self, kind: str, name: str) -> Attribute | None: ...
+
+
+class CurvesSource(_Source):
     """A Curves data-block."""
 
     def __init__(self, curves: bpy.types.Curves, user: str, shape: CurveShape) -> None:
@@ -98,10 +110,6 @@ class CurvesSource:
         number = self._cut.strands.number
         return np.nan_to_num(values if number is None else values[number])
 
-    def attributes(self, asked: Iterable[tuple[str, str]]) -> list[Attribute]:
-        """Attributes of kind and name `asked`, as far as it has them."""
-        return [found for kind, name in asked if (found := self._attribute(kind, name)) is not None]
-
     def _attribute(self, kind: str, name: str) -> Attribute | None:
         if kind == STRAND_KIND and name == "normal":
             # one by one: `foreach_get` reads memory here that Blender has freed already
@@ -120,7 +128,7 @@ class CurvesSource:
         return Attribute(kind, name, np.ascontiguousarray(np.nan_to_num(of(values)), np.float32))
 
 
-class ParticleHair:
+class ParticleHair(_Source):
     """The hair of a particle system, as the evaluated object `owner` wears it."""
 
     def __init__(
@@ -200,10 +208,6 @@ class ParticleHair:
         )
         return np.fromiter(chain.from_iterable(values), np.float32, width * len(number)).reshape(-1, width)
 
-    def attributes(self, asked: Iterable[tuple[str, str]]) -> list[Attribute]:
-        """Attributes of kind and name `asked`, as far as it has them."""
-        return [found for kind, name in asked if (found := self._attribute(kind, name)) is not None]
-
     def _attribute(self, kind: str, name: str) -> Attribute | None:
         if kind == STRAND_KIND:
             return hair_attribute(self._cut, name)
@@ -215,7 +219,7 @@ class ParticleHair:
         return None if values is None else Attribute(kind, name, np.nan_to_num(self._cut.of_strands(values)))
 
 
-class PointsSource:
+class PointsSource(_Source):
     """A point cloud: spheres."""
 
     def __init__(self, cloud: bpy.types.PointCloud, user: str) -> None:
@@ -252,10 +256,6 @@ class PointsSource:
             return None
         number = np.arange(len(self._points), dtype=np.int32)
         return Mesh(self._cloud.name, self._points, np.stack([number] * 3, 1), radii=self._radii)
-
-    def attributes(self, asked: Iterable[tuple[str, str]]) -> list[Attribute]:
-        """Attributes of kind and name `asked`, as far as it has them."""
-        return [found for kind, name in asked if (found := self._attribute(kind, name)) is not None]
 
     def _attribute(self, kind: str, name: str) -> Attribute | None:
         values = {

@@ -16,7 +16,7 @@ import bpy
 import numpy as np
 
 from ...core.scene.description import Attribute, Mesh
-from ..meshes.mesh_shape import hashed
+from ..lookup3 import lookup3
 
 # A segment may be off the curve by so much of its radius, or of its length
 _OFF_RADII, _OFF_LENGTHS = 0.25, 0.005
@@ -329,4 +329,4 @@ def _in_blocks(count: int, work: Callable[[int], None], size: int = _BLOCK) -> N
 
 def random_numbers(numbers: np.ndarray) -> np.ndarray:
     """Random numbers of strands or points, 0..1, as Cycles hashes its number: float32."""
-    return (hashed(numbers.astype(np.uint32), words=2) / np.float64(2**32 - 1)).astype(np.float32)
+    return (lookup3(numbers.astype(np.uint32), words=2) / np.float64(2**32 - 1)).astype(np.float32)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import bpy
 
 from ...core.scene.description import Visibility
+from .placements import Placements, Template
 
 
 def is_holdout(
@@ -18,7 +18,7 @@ def is_holdout(
     return obj.is_holdout or owner.original.holdout_get(view_layer=view_layer)
 
 
-def with_hole(template: Any, placements: Any, slots: int) -> tuple[Any, Any]:
+def with_hole(template: Template, placements: Placements, slots: int) -> tuple[Template, Template | None]:
     """The template of a holdout object with `slots` materials as two: what other rays than the camera's see, and what
     the camera sees; None in place of the second where one is all there is.
     """

@@ -13,7 +13,7 @@ import numpy as np
 from ...core.scene.description import COPY_SET, Light, Visibility
 from ...core.scene.linking import catcher_bits, shadow_bit
 from ...core.scene.notice import Notice, Weight
-from ..curves.placing import StrandMeshes
+from ..curves.placing import CurveData, StrandMeshes
 from ..curves.sources import STRAND_KIND, hair_systems
 from ..light_links import LightLinking
 from ..lights import LampGraphs, export_light, is_portal
@@ -35,6 +35,8 @@ from .volumes import export_volume
 _CANCEL_INTERVAL = 256
 
 _OBJECT_KINDS = {"OBJECT", "INSTANCER", OF_INSTANCER}  # kinds of attributes that belong to objects
+_Placed = bpy.types.DepsgraphObjectInstance
+_Object = bpy.types.Object
 _SOLID_TYPES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
 
 
@@ -56,7 +58,7 @@ def _named(names: list[str]) -> str:
     return ", ".join(f"“{name}”" for name in dict.fromkeys(names))
 
 
-def _position_on_surface(placed: bpy.types.DepsgraphObjectInstance, name: str) -> tuple[float, ...]:
+def _position_on_surface(placed: _Placed, name: str) -> tuple[float, ...]:
     """Position of an instance on the surface that places it: its generated coordinates as in Cycles, or its `uv`."""
     if name == "uv":
         return (*placed.uv, 0.0, 1.0)
@@ -130,7 +132,7 @@ class PlacementCollector:
         self.placements.materials.forget_graphs()
         self._strands.forget_sources()
 
-    def add(self, placed: bpy.types.DepsgraphObjectInstance, cancelled: Callable[[], bool]) -> None:
+    def add(self, placed: _Placed, cancelled: Callable[[], bool]) -> None:
         """Take one item of the depsgraph's list."""
         self._item += 1
         obj = placed.object
@@ -173,7 +175,7 @@ class PlacementCollector:
             self._keep(key, placed, obj, wanted, functools.partial(self._mesh, obj, data))
         self._place(placed, obj, key)
 
-    def _add_strands(self, placed, obj, data, cancelled: Callable[[], bool]) -> None:
+    def _add_strands(self, placed: _Placed, obj: _Object, data: CurveData, cancelled: Callable[[], bool]) -> None:
         """Curves, points, or the hair of the modifier `data`."""
         owner = placed.parent.original.as_pointer() if placed.parent else 0
         key = (obj.original.as_pointer(), owner, data.as_pointer(), type(data).__name__)
@@ -183,14 +185,14 @@ class PlacementCollector:
             self._keep(key, placed, obj, *self._strands.of(obj, data, self))
         self._place(placed, obj, key)
 
-    def _keep(self, key: Hashable, placed, obj, wanted: list[int], mesh: Callable) -> None:
+    def _keep(self, key: Hashable, placed: _Placed, obj: _Object, wanted: list[int], mesh: Callable) -> None:
         """Make the template of `key`, and that of what the camera sees of a holdout object."""
         template, hole = self._template(placed, obj, wanted, mesh), None
         if template is not None and is_holdout(placed, obj, self.view_layer):
             template, hole = with_hole(template, self.placements, len(wanted))
         self._templates[key], self._holes[key] = template, hole
 
-    def _place(self, placed, obj, key: Hashable) -> None:
+    def _place(self, placed: _Placed, obj: _Object, key: Hashable) -> None:
         for template in (self._templates[key], self._holes[key]):
             if template is None:
                 continue
@@ -229,7 +231,7 @@ class PlacementCollector:
         placements.warnings += placements.materials.warnings()
         return placements
 
-    def _add_light(self, placed, obj) -> None:
+    def _add_light(self, placed: _Placed, obj: _Object) -> None:
         placements = self.placements
         light = export_light(obj, placed.matrix_world.copy(), placements.warnings, self._lamp_graphs, random_of(placed))
         if light is not None and is_portal(obj):
@@ -252,7 +254,7 @@ class PlacementCollector:
             placements.lights.append(light)
 
     def _template(
-        self, placed, obj, wanted: list[int], mesh_of: Callable[[list[tuple[str, str]]], int | None]
+        self, placed: _Placed, obj: _Object, wanted: list[int], mesh_of: Callable[[list[tuple[str, str]]], int | None]
     ) -> Template | None:
         """`wanted`: materials of the slots. `mesh_of`: index of the mesh with the attributes that these ask for."""
         visibility = self._visibility(obj)
@@ -290,7 +292,7 @@ class PlacementCollector:
             light_group=self._groups.get(obj.lightgroup, -1),
         )
 
-    def _mesh(self, obj, data, asked: list[tuple[str, str]]) -> int | None:
+    def _mesh(self, obj: _Object, data: bpy.types.ID, asked: list[tuple[str, str]]) -> int | None:
         """Index of the mesh, with the attributes `asked`; None if it has no triangles."""
         key = (data.as_pointer(), data.session_uid)
         if obj.type == "VOLUME" or smoke_domain(obj) is not None:
@@ -318,7 +320,7 @@ class PlacementCollector:
             obj.to_mesh_clear()
         return index
 
-    def _source(self, obj, data, edited: bool) -> MeshSource | LiveSource:
+    def _source(self, obj: _Object, data: bpy.types.Mesh, edited: bool) -> MeshSource | LiveSource:
         warnings = self.placements.warnings
 
         def read() -> MeshSource:
@@ -326,7 +328,7 @@ class PlacementCollector:
 
         return read() if self._live is None else self._live.source(obj, data, read, warnings)
 
-    def _volume(self, obj, key: tuple, asked: list[tuple[str, str]]) -> int | None:
+    def _volume(self, obj: _Object, key: tuple, asked: list[tuple[str, str]]) -> int | None:
         """Index of the box around a volume object, with the grids `asked`; None if there is nothing in it."""
         if (key := (*key, *asked)) not in self._meshes:
             frame = self.placements.materials.collections.frame
@@ -336,7 +338,9 @@ class PlacementCollector:
                 self.placements.meshes.append(made)
         return self._meshes[key]
 
-    def _object_values(self, obj, parent, asked: list[tuple[str, str]]) -> tuple[tuple[int, tuple[float, ...]], ...]:
+    def _object_values(
+        self, obj: _Object, parent: _Object | None, asked: list[tuple[str, str]]
+    ) -> tuple[tuple[int, tuple[float, ...]], ...]:
         """Indices and values of the object's attributes `asked`."""
         values = []
         for kind, name in asked:
@@ -347,7 +351,7 @@ class PlacementCollector:
                 values.append((self.placements.materials.collections.object_attribute(kind, name), value))
         return tuple(values)
 
-    def materials_of(self, obj, data) -> list[int]:
+    def materials_of(self, obj: _Object, data: bpy.types.ID) -> list[int]:
         """The materials of the object's slots."""
         slots = obj.material_slots
         wanted = []
@@ -360,7 +364,7 @@ class PlacementCollector:
             wanted.append(self.placements.materials.index(material, obj.name))
         return wanted
 
-    def _visibility(self, obj) -> int:
+    def _visibility(self, obj: _Object) -> int:
         original = obj.original
         key = original.as_pointer()
         if key not in self._visibilities:
@@ -373,7 +377,7 @@ class PlacementCollector:
             self._visibilities[key] = int(seen)
         return self._visibilities[key]
 
-    def _name_index(self, obj) -> int:
+    def _name_index(self, obj: _Object) -> int:
         name = obj.name
         if name not in self._object_index:
             self._object_index[name] = len(self.placements.object_names)
@@ -384,7 +388,7 @@ class PlacementCollector:
             self.placements.asset_names.append(asset.name)
         return self._object_index[name]
 
-    def _note_unsupported(self, obj, placed) -> None:
+    def _note_unsupported(self, obj: _Object, placed: _Placed) -> None:
         """Remember by name the parts of `obj` that are not rendered as they are."""
         if obj.type not in _SOLID_TYPES:
             return

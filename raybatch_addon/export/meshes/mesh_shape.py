@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..lookup3 import lookup3
+
 # Squared distance below which vertices count as one [m²]
 _SAME = np.finfo(np.float32).eps
 
@@ -83,17 +85,4 @@ def random_per_island(vertex_count: int, edges: np.ndarray) -> np.ndarray:
         if ranks[x] == ranks[y]:
             ranks[x] += 1
     roots = np.array([root_of(x) for x in range(vertex_count)], np.uint32)
-    return (hashed(roots).astype(np.float32) * np.float32(1 / 0xFFFFFFFF)).astype(np.float32)
-
-
-def hashed(keys: np.ndarray, words: int = 1) -> np.ndarray:
-    """Jenkins' lookup3 (2006) of one word each, uint32; with two `words` the second is 0."""
-    with np.errstate(over="ignore"):
-        start = np.uint32((0xDEADBEEF + (words << 2) + 13) & 0xFFFFFFFF)
-        a, b, c = keys + start, np.full_like(keys, start), np.full_like(keys, start)
-        for target, other, by in ((2, 1, 14), (0, 2, 11), (1, 0, 25), (2, 1, 16), (0, 2, 4), (1, 0, 14), (2, 1, 24)):
-            state = [a, b, c]
-            source = state[other]
-            state[target] = (state[target] ^ source) - ((source << np.uint32(by)) | (source >> np.uint32(32 - by)))
-            a, b, c = state
-    return c
+    return (lookup3(roots).astype(np.float32) * np.float32(1 / 0xFFFFFFFF)).astype(np.float32)

@@ -13,7 +13,7 @@ from ...core.scene.notice import Notice, Weight
 from ..curves.sources import Source
 from ..light_links import ObjectLinks
 from ..materials import ExportedMaterials
-from ..motion.objects import PlacedMotion
+from ..motion.placed import PlacedMotion
 
 if TYPE_CHECKING:
     import bpy

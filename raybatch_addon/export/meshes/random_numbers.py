@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from .mesh_shape import hashed
+from ..lookup3 import lookup3
 
 _RANDOM_MOST = 2**32 - 1  # largest random number of an object
 
@@ -18,7 +18,7 @@ def _random_id(name: str) -> int:
     code = 0
     for byte in name.encode():
         code = (code * 37 + (byte if byte < 128 else byte - 256)) & 0xFFFFFFFF
-    return int(hashed(np.array([code], np.uint32), words=2)[0])
+    return int(lookup3(np.array([code], np.uint32), words=2)[0])
 
 
 def random_of(placed: bpy.types.DepsgraphObjectInstance) -> float:

@@ -1,31 +1,15 @@
-"""Motion settings of objects (those of Cycles, where its add-on is enabled), and how objects are found again."""
+"""Motion settings of objects: those of Cycles, where its add-on is enabled."""
 
 from __future__ import annotations
 
 from collections.abc import Hashable
-from typing import Any, NamedTuple
 
 import bpy
 import numpy as np
 
 from ..meshes.meshes import mesh_velocity
-
-
-class PlacedMotion(NamedTuple):
-    """A placement as it is found again at another time, and how it may move."""
-
-    key: tuple
-    mesh: int
-    steps: int  # of its map
-    deforms: bool  # its vertices may move
-    velocity: np.ndarray | None = None  # of its vertices [m/s], shape [vertex_count, 3]
-    item: int = 0  # of the depsgraph's list, which may have been placed as several things
-
-
-def placed_key(placed: bpy.types.DepsgraphObjectInstance, obj: bpy.types.Object) -> tuple:
-    """What a placement is known by at any time."""
-    parent = placed.parent.original.as_pointer() if placed.parent else 0
-    return obj.original.as_pointer(), parent, placed.is_instance, tuple(placed.persistent_id)
+from ..meshes.placements import Placements
+from .placed import PlacedMotion, placed_key
 
 
 def object_steps(obj: bpy.types.Object, parent: bpy.types.Object | None) -> int:
@@ -79,11 +63,9 @@ class PlacedMotions:
         self._known: dict[Hashable, tuple[int, bool, np.ndarray | None]] = {}
 
     def of(
-        self, placed: bpy.types.DepsgraphObjectInstance, obj: bpy.types.Object, mesh: int, made: Any, item: int
+        self, placed: bpy.types.DepsgraphObjectInstance, obj: bpy.types.Object, mesh: int, made: Placements, item: int
     ) -> PlacedMotion:
-        """The motion of `placed`, number `item` of the depsgraph's list, which is mesh number `mesh` of `made`, the
-        `Placements`.
-        """
+        """The motion of `placed`, number `item` of the depsgraph's list, which is mesh number `mesh` of `made`."""
         parent = placed.parent if placed.is_instance else None
         place = (mesh, obj.original.as_pointer(), parent.original.as_pointer() if parent else 0)
         if place not in self._known:

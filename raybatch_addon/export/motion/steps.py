@@ -15,7 +15,8 @@ from ...core.scene.motion import maps_at, motion_keys
 from ..meshes.mesh_arrays import read
 from ..meshes.meshes import used_vertices
 from ..meshes.placements import Placements
-from .objects import object_steps, placed_key
+from .objects import object_steps
+from .placed import placed_key
 from .shutter import Exposure
 
 # Nothing that is elsewhere

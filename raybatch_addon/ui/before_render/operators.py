@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import bpy
 
-from ..panel import ENGINE, register_all, unregister_all
+from ..panel import is_engine, register_all, unregister_all
 from .unhidden import unhidden
 
 
 class _OfEngine:
     @classmethod
     def poll(cls, context):
-        return context.scene is not None and context.engine == ENGINE
+        return is_engine(context)
 
 
 class RAYBATCH_OT_check_scene(_OfEngine, bpy.types.Operator):

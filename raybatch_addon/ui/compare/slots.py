@@ -12,7 +12,7 @@ from ...blender import reports
 from ...convergence.run_texts import error_line
 from ...core.settings.settings import SETTINGS
 from ..choices import value_text
-from ..panel import ENGINE, register_all, unregister_all
+from ..panel import may_render, register_all, unregister_all
 
 RESULT = "Render Result"
 
@@ -110,7 +110,7 @@ class RAYBATCH_OT_render_in_new_slot(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        return context.scene is not None and context.engine == ENGINE and not bpy.app.is_job_running("RENDER")
+        return may_render(context)
 
     def invoke(self, _context, _event):
         take_next_slot()

@@ -10,7 +10,7 @@ import bpy
 from ...convergence.records import SLOT_COUNT, store
 from ...convergence.run_data import runs_as_data
 from ...core.files import whole_file
-from ..panel import ENGINE
+from ..panel import is_engine
 from .properties import chosen_target
 from .shown import plot_editors, update_image
 
@@ -22,7 +22,7 @@ class _Operator(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        return context.scene is not None and context.engine == ENGINE and bool(store.runs())
+        return is_engine(context) and bool(store.runs())
 
 
 class RAYBATCH_OT_convergence_keep(_Operator):

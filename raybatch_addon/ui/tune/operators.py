@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from typing import Any
 
 import bpy
 from bpy.app.handlers import persistent
 
+from ...blender.finals import add_render_handlers, remove_render_handlers
 from ...export.settings import assign_setting
 from ..compare.slots import take_next_slot
-from ..panel import ENGINE, register_all, unregister_all
+from ..panel import may_render, register_all, unregister_all
 
 
 class RAYBATCH_OT_tune(bpy.types.Operator):
@@ -28,7 +28,7 @@ class RAYBATCH_OT_tune(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        return context.scene is not None and context.engine == ENGINE and not bpy.app.is_job_running("RENDER")
+        return may_render(context)
 
     def invoke(self, context, _event):
         from ...blender import tuning
@@ -75,11 +75,6 @@ class RAYBATCH_OT_take_fastest(bpy.types.Operator):
 _classes = (RAYBATCH_OT_tune, RAYBATCH_OT_take_fastest)
 
 
-def _handlers() -> tuple[tuple[list, Callable[..., None]], ...]:
-    events = bpy.app.handlers
-    return (events.render_init, _begin), (events.render_complete, _end), (events.render_cancel, _end)
-
-
 def _tuning() -> Any | None:
     """The module, once it is there: it brings in the core, which registering does not wait for."""
     return sys.modules.get(f"{__package__.rpartition('.ui')[0]}.blender.tuning")
@@ -100,14 +95,12 @@ def _end(*_: object) -> None:
 def register() -> None:
     """Add the operators, and follow the renders of Blender."""
     register_all(_classes)
-    for handlers, function in _handlers():
-        handlers.append(function)
+    add_render_handlers(_begin, _end)
 
 
 def unregister() -> None:
     """Remove the operators, and what was found."""
-    for handlers, function in _handlers():
-        handlers.remove(function)
+    remove_render_handlers(_begin, _end)
     if (tuning := _tuning()) is not None:
         tuning.forget_tuned()
     unregister_all(_classes)

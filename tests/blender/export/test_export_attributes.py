@@ -5,8 +5,9 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from raybatch_addon.export.lookup3 import lookup3
 from raybatch_addon.export.meshes.attributes import mesh_attributes, property_value
-from raybatch_addon.export.meshes.mesh_shape import hashed, pointiness, random_per_island, welded
+from raybatch_addon.export.meshes.mesh_shape import pointiness, random_per_island, welded
 from raybatch_addon.export.meshes.tangents import corner_tangents
 from tests.support.blender_builders import add_object, add_triangle, exported, material_of, node_tree
 
@@ -116,7 +117,7 @@ def test_islands_have_a_number_each():
 
 
 def test_the_hash_takes_any_word():
-    assert len(set(hashed(np.array([0, 1, 2, 2**32 - 1], np.uint32)).tolist())) == 4
+    assert len(set(lookup3(np.array([0, 1, 2, 2**32 - 1], np.uint32)).tolist())) == 4
 
 
 def asks(obj, kind, **properties):

@@ -15,10 +15,10 @@ from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.programs.op import NodeData
 from raybatch_addon.core.scene.description import Camera, CameraKind, Frame, LightKind, Scene, Visibility
 from raybatch_addon.core.scene.geometry import Geometry
-from raybatch_addon.core.shading.lights.light_choice import lit_point, packed_side
-from raybatch_addon.core.shading.lights.light_hits import LightHitFeatures, make_light_hits
-from raybatch_addon.core.shading.lights.light_table import LightTable, upload_lights
+from raybatch_addon.core.shading.lights.choice import lit_point, packed_side
+from raybatch_addon.core.shading.lights.hits import LightHitFeatures, make_light_hits
 from raybatch_addon.core.shading.lights.lights import LightFeatures, make_lights
+from raybatch_addon.core.shading.lights.table import LightTable, upload_lights
 from raybatch_addon.export.lights import export_light
 from raybatch_addon.export.scene import export_scene
 from raybatch_addon.export.world import export_world

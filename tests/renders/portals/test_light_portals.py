@@ -15,8 +15,8 @@ from raybatch_addon.core.scene.archive import load_scene, save_scene
 from raybatch_addon.core.scene.description import Closure, ClosureKind, Frame, Light, LightKind, Mesh, Volume, World
 from raybatch_addon.core.scene.features import derive_features
 from raybatch_addon.core.settings.settings import RenderSettings
-from raybatch_addon.core.shading.lights.light_table import LightTable, upload_lights
 from raybatch_addon.core.shading.lights.portals.portals import portals_pdf, sample_through_portals
+from raybatch_addon.core.shading.lights.table import LightTable, upload_lights
 from raybatch_addon.core.shading.lights.world import sampled_world
 from raybatch_addon.core.wavefront.tier import why_not_general
 from tests.support import scenes

@@ -81,7 +81,9 @@ def test_tools_are_pinned_and_not_those_of_the_environment():
     wanted = make_docs.wanted()
     assert wanted and all("==" in each for each in wanted)
     assert make_docs.missing(["pytest==0.0.1", "no-such-tool==1"]) == ["pytest==0.0.1", "no-such-tool==1"]
-    assert not [each for each in wanted if each in (ROOT / "scripts/environment.py").read_text(encoding="utf-8")]
+    assert not [
+        each for each in wanted if each in (ROOT / "scripts/environment/environment.py").read_text(encoding="utf-8")
+    ]
 
 
 @pytest.mark.skipif(importlib.util.find_spec("sphinx") is None, reason="`make docs` was not run here")

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 
 from raybatch_addon.core.programs.builder import Value
-from raybatch_addon.core.programs.ops.closures.closure_ops_facets import Distribution
+from raybatch_addon.core.programs.ops.closures.facets import Distribution
 from raybatch_addon.core.scene.description import Closure
 from raybatch_addon.core.scene.description import ClosureKind as K
 from raybatch_addon.export.nodes.node import WHITE as WHITE_VALUE

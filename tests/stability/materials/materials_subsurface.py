@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 
 from raybatch_addon.core.programs.builder import ProgramBuilder
-from raybatch_addon.core.programs.ops.closures.closure_ops_soft import SubsurfaceMethod
+from raybatch_addon.core.programs.ops.closures.soft import SubsurfaceMethod
 from raybatch_addon.core.scene.description import Closure, Material
 from raybatch_addon.core.scene.description import ClosureKind as K
 from raybatch_addon.core.shading.bsdf.materials import constant_closure

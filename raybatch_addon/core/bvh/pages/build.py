@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,17 +18,16 @@ from ...errors import OutOfMemoryError, check_cancelled
 from ...scene.flatten import FlatGeometry
 from ..build.mesh_tree import mesh_parts
 from ..node import Layout
-from ..tree import Tree
 from ..treelets.cut import CutRule
 from .budget import expected_bytes, least_budget, page_size
 from .chunks import ChunkBuilder, chunk_size
 from .cuda.packing import DevicePacker
 from .divide.cells import MeshTriangles, mesh_from, mesh_triangles
 from .divide.primitives import Primitives
-from .encode import expand_page
 from .entries import instances_in
 from .file import PageFileWriter, delete_old_files, open_page_file
 from .packing import HostPacker, NoStore, PagePacker
+from .paged_scene import PagedScene
 from .resident import Resident, load_nodes, place_resident
 from .store import PAGE_ALIGNMENT, HostStore, Page, PageStore
 from .tables import PageBuilder, PageTables
@@ -39,60 +38,24 @@ _NODES_SHARE = 0.75
 _PLAIN_SHARE = 0.5
 
 
-@dataclass(kw_only=True)
-class PagedScene:
-    """The trees of a scene: what stays on the device, and pages of the rest.
+@dataclass
+class _BuildRecord:
+    """How the pages of a scene were made."""
 
-    Every mesh is cut into chunks of nearby triangles, each a mesh tree by itself, and each instance has an entry for
-    every chunk of its mesh; so there always is a top level (`SceneFeatures.instancing`).
-    """
-
-    layout: Layout
-    tree: Tree  # on the device: top level, top nodes and roots of treelets, the few triangles right at them
-    of_node: wp.array  # as `Treelets`, on the device
-    root: wp.array  # likewise
-    deform: wp.array  # likewise
-    treelet_count: int
-    levels: int  # resident levels on the longest way to a treelet's root: those of the top level and of one mesh's top
-    pages: list[Page] = field(repr=False)
-    treelet_page: np.ndarray  # int32, shape [treelet_count]
-    # where a treelet's nodes begin in its page on the device, int64, shape [treelet_count]
-    treelet_node_byte: np.ndarray
-    treelet_triangle_byte: np.ndarray  # likewise its triangles
-    nodes_resident: bool  # pages hold triangles alone; `treelet_node_byte` is then a byte of `resident_nodes`
-    resident_nodes: wp.array  # as `page_rows`, on the device: the nodes of all treelets, or empty
-    store: PageStore
-    box: np.ndarray  # two corners that hold all surfaces [m], float64, shape [2, 3]
-    resident_bytes: int  # of `tree`, `of_node`, `root` and `resident_nodes`
-    # where the triangles of each page begin, in the store and on the device, int64, shape [pages]
-    page_node_bytes: np.ndarray
-    page_units: np.ndarray  # triangles, or groups of them (BOXES), of each page, likewise
-    encoded: bool = False  # triangles are packed, and every page must be expanded where it arrives
-    plain: HostStore | None = field(
-        default=None, repr=False
-    )  # pages of an encoded scene as the device has them, for rays to read there
-    plain_byte: list[int] = field(default_factory=list, repr=False)  # where each begins
-    statistics: dict[str, Any] = field(default_factory=dict)
+    store: str  # HOST or DISK
+    page_bytes: int  # of a page on the device at most
+    encoded: bool  # as in `PagedScene`
+    reused: bool = False  # they were found in a file
+    page_file_warning: str = ""  # why a file was not used
+    seconds_build: float = 0.0
 
     @property
-    def page_bytes_max(self) -> int:
-        """Bytes of the largest page on the device."""
-        return max((page.device_bytes for page in self.pages), default=0)
-
-    def plain_view(self, page: int) -> wp.array | None:
-        """Page number `page` in host memory as the device has it; None where there is no such copy."""
-        if self.plain is None:
-            return None
-        return self.plain.view(
-            replace(self.pages[page], byte_first=self.plain_byte[page], byte_count=self.pages[page].device_bytes)
-        )
-
-    def expand(self, page: int, source: wp.array, target: wp.array) -> None:
-        """Bring page number `page` of an encoded scene from `source` to `target`, in the current stream; as
-        `expand_page`.
-        """
-        nodes = int(self.page_node_bytes[page])
-        expand_page(source, target, nodes, nodes, int(self.page_units[page]))
+    def statistics(self) -> dict[str, Any]:
+        """The figures by name."""
+        figures = asdict(self)
+        if not self.page_file_warning:
+            del figures["page_file_warning"]
+        return figures
 
 
 def build_paged_scene(
@@ -146,7 +109,14 @@ def build_paged_scene(
 
     def builder_of(page_bytes: int) -> ChunkBuilder:
         return ChunkBuilder(
-            layout, device, rule, len(flat.triangles), _treelets_bytes(page_bytes), spatial_splits, on_device, cancelled
+            layout,
+            device,
+            rule,
+            len(flat.triangles),
+            page_bytes=_treelets_bytes(page_bytes),
+            spatial_splits=spatial_splits,
+            on_device=on_device,
+            cancelled=cancelled,
         )
 
     @functools.cache
@@ -197,11 +167,13 @@ def build_paged_scene(
     if bound(page_bytes) > budget:
         raise too_small()
     builder = builder_of(page_bytes)
-    known: dict[str, Any] = {"store": store, "page_bytes": page_bytes, "encoded": encoded, "reused": False}
+    record = _BuildRecord(store, page_bytes, encoded)
     copy: HostStore | None = None
     expected = expected_bytes(primitives, flat.curves, layout, encoded)
     if store == "DISK":
-        tables, pages = _from_disk(flat, layout, builder, rule, Path(folder), expected, known, build)
+        tables, pages = _from_disk(
+            flat, layout, builder, rule, folder=Path(folder), expected=expected, record=record, build=build
+        )
     else:
         free = free_memory(wp.get_device("cpu"))
         if expected > free:
@@ -216,8 +188,18 @@ def build_paged_scene(
         copy = HostStore(pinned=device.is_cuda) if encoded and plain else None
         tables, copy_byte = build(builder, page_bytes, pages, copy)
     check_cancelled(cancelled)
-    known["seconds_build"] = round(time.perf_counter() - start, 6)
-    made = _assembled(flat, visibility, layout, device, budget, tables, pages, nodes_resident, known)
+    record.seconds_build = round(time.perf_counter() - start, 6)
+    made = _assembled(
+        flat=flat,
+        visibility=visibility,
+        layout=layout,
+        device=device,
+        budget=budget,
+        tables=tables,
+        store=pages,
+        nodes_resident=nodes_resident,
+        record=record,
+    )
     if made is None:
         raise too_small()
     if copy:
@@ -232,29 +214,29 @@ def _from_disk(
     layout: Layout,
     builder: ChunkBuilder,
     rule: CutRule,
+    *,
     folder: Path,
     expected: int,
-    known: dict[str, Any],
+    record: _BuildRecord,
     build: Callable,
 ) -> tuple[PageTables, PageStore]:
     """Tables and pages of the file in `folder`, which is written where there is none that is sound; it takes about
     `expected` bytes.
     """
-    page_bytes, encoded = known["page_bytes"], known["encoded"]
-    key = _key(flat, layout, builder, rule, page_bytes, encoded)
+    key = _key(flat, layout, builder, rule, record.page_bytes, record.encoded)
     found = open_page_file(folder, layout, key)
     if isinstance(found, tuple):
         try:
             tables = PageTables.from_index(found[1])
-            known["reused"] = True
+            record.reused = True
             return tables, found[0]
         except KeyError as error:
             found = f"{found[0].path} does not hold {error}"
     if found is not None:
-        known["page_file_warning"] = f"{found}: it was written anew"
+        record.page_file_warning = f"{found}: it was written anew"
     writer = PageFileWriter(folder, layout, key, expected)
     try:
-        tables, _ = build(builder, page_bytes, writer)
+        tables, _ = build(builder, record.page_bytes, writer)
         store = writer.finish(tables.index())
     except BaseException:
         writer.abandon()
@@ -298,6 +280,7 @@ def _key(
 
 
 def _assembled(
+    *,
     flat: FlatGeometry,
     visibility: np.ndarray,
     layout: Layout,
@@ -306,7 +289,7 @@ def _assembled(
     tables: PageTables,
     store: PageStore,
     nodes_resident: bool | None,
-    known: dict[str, Any],
+    record: _BuildRecord,
 ) -> PagedScene | None:
     """The scene: what stays on the device, and its tables; all of it is within the budget, and a page too. None where
     that cannot be.
@@ -314,7 +297,7 @@ def _assembled(
     start = time.perf_counter()
     resident = place_resident(tables, flat, visibility, layout, device)
     node_bytes = int(tables.page_bytes[:, 0].sum())
-    staged = device.is_cuda and known["encoded"]
+    staged = device.is_cuda and record.encoded
     if nodes_resident is None:
         # room for more than one page without nodes
         rest = budget - resident.bytes - node_bytes
@@ -337,7 +320,7 @@ def _assembled(
         node_byte, triangle_byte = tables.treelet_node, tables.page_bytes[page, 0] + tables.treelet_triangle
         nodes = wp.empty((0, PAGE_ALIGNMENT), dtype=wp.uint8, device=device)
     wp.synchronize_device(device)
-    known["seconds"] = round(time.perf_counter() - start + known["seconds_build"], 6)
+    seconds = round(time.perf_counter() - start + record.seconds_build, 6)
     return PagedScene(
         layout=layout,
         tree=resident.tree,
@@ -355,10 +338,10 @@ def _assembled(
         store=store,
         box=resident.box,
         resident_bytes=resident.bytes + nodes.size,
-        encoded=known["encoded"],
+        encoded=record.encoded,
         page_node_bytes=tables.page_bytes[:, 0] * (not nodes_resident),
         page_units=tables.page_units,
-        statistics={**known, **_description(tables, layout, resident, nodes_resident)},
+        statistics={**record.statistics, "seconds": seconds, **_description(tables, layout, resident, nodes_resident)},
     )
 
 

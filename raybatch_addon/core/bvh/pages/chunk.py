@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import warp as wp
 
 from ..node import Layout
+
+
+class TreeFacts(NamedTuple):
+    """Facts about the tree of a chunk, as in `MeshTree`."""
+
+    centre: np.ndarray
+    box: np.ndarray
+    sah: float
+    depth: int
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,10 +27,7 @@ class Chunk:
     """
 
     faces: np.ndarray  # the triangles, numbers in the mesh, int32, rising
-    centre: np.ndarray  # as `MeshTree`
-    box: np.ndarray
-    sah: float
-    depth: int
+    facts: TreeFacts
     levels: int  # of top nodes
     top_nodes: np.ndarray  # words, shape [n, words]
     top_treelet: np.ndarray  # int32, shape [n]

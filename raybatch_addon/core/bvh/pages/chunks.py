@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import warp as wp
@@ -25,7 +25,7 @@ from ..build.scene_tree import build_kernels
 from ..memory import COPY_BYTES
 from ..node import TRIANGLES_MAX_QUANTISED, Layout, triangle_faces
 from ..treelets.cut import Cut, CutRule, cut_nodes
-from .chunk import Chunk
+from .chunk import Chunk, TreeFacts
 from .cuda.chunks import ChunkTree, build_chunk, in_treelets, one_treelet, own_in_place
 from .divide.cells import MeshTriangles
 from .divide.listed import Triangles, triangles_on
@@ -161,8 +161,8 @@ class ChunkBuilder:
         check_cancelled(self._cancelled)
         wide = collapse_mesh(binary, source.positions, own, self.layout)
         del binary
-        known = {"centre": wide.centre, "box": wide.box, "sah": wide.sah, "depth": wide.depth}
-        return self._finished(source.own, faces, wide.nodes, wide.triangles, known)
+        facts = TreeFacts(wide.centre, wide.box, wide.sah, wide.depth)
+        return self._finished(source.own, faces, wide.nodes, wide.triangles, facts)
 
     def _finished(
         self,
@@ -170,7 +170,7 @@ class ChunkBuilder:
         faces: np.ndarray,
         nodes: np.ndarray,
         triangles: np.ndarray,
-        known: dict[str, Any],
+        facts: TreeFacts,
     ) -> Chunk:
         """The chunk of a tree that calls its triangles 0, 1, ...; `primitives` come in their place."""
         check_cancelled(self._cancelled)
@@ -185,7 +185,7 @@ class ChunkBuilder:
             vertices = None if vertices is None else vertices[cut.triangle_order]
         return Chunk(
             faces=faces,
-            **known,
+            facts=facts,
             levels=cut.levels,
             top_nodes=cut.top_nodes,
             top_treelet=cut.top_treelet,

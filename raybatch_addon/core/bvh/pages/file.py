@@ -2,7 +2,8 @@
 
 A file is a header of `PAGE_ALIGNMENT` bytes, the pages' segments, and an index: NumPy arrays with everything that is
 kept of the build, the first byte, size and checksum of each segment among it. It is written under another name and gets
-its own when it is whole.
+its own when it is whole: not by `files.whole_file`, as it is written while the build goes on, by several calls, and its
+bytes have to be on the disk before the name says that they are.
 """
 
 from __future__ import annotations

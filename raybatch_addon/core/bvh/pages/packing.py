@@ -130,7 +130,18 @@ class HostPacker:
         if not isinstance(self._target, HostStore):
             first = self._target.add(memory[: sizes[0]])
             self._target.add(memory[sizes[0] : total])
-        return PackedPage(treelet_end, first, first + sizes[0], *sizes, *device, units)
+        node_bytes, triangle_bytes = sizes
+        node_device_bytes, triangle_device_bytes = device
+        return PackedPage(
+            treelet_end=treelet_end,
+            node_byte=first,
+            triangle_byte=first + node_bytes,
+            node_bytes=node_bytes,
+            triangle_bytes=triangle_bytes,
+            node_device_bytes=node_device_bytes,
+            triangle_device_bytes=triangle_device_bytes,
+            units=units,
+        )
 
 
 def _fill(memory: np.ndarray, segments: tuple[list[np.ndarray], list[np.ndarray]], sizes: list[int]) -> None:

@@ -21,10 +21,10 @@ from ...device.kernel import KERNEL_OPTIONS
 from ...errors import OutOfMemoryError
 from ..tree import Treelets
 from .address_ring import AddressRing
-from .build import PagedScene
 from .facts import PageFacts
+from .paged_scene import PagedScene
 from .store import padded, page_rows
-from .transfer import PageLine, largest_page, page_line, staging_count
+from .transfer import PageTransfer, largest_page, page_transfer, staging_count
 
 ABSENT, COMING, THERE, LEAVING = range(4)
 
@@ -99,7 +99,7 @@ class Residency:
     """The pool of pages of a scene on one device; safe to be used by several threads."""
 
     def __init__(
-        self, scene: PagedScene, budget: int, device: wp.Device, make_line: Callable[..., PageLine] = page_line
+        self, scene: PagedScene, budget: int, device: wp.Device, make: Callable[..., PageTransfer] = page_transfer
     ):
         """Hold at most `budget` bytes of the scene on the device, with what always stays there. Raises
         `OutOfMemoryError`.
@@ -108,7 +108,7 @@ class Residency:
         self.slot_count, self.slot_bytes = slots_in(scene, budget, device), slot_bytes_of(scene)
         count = len(scene.pages)
         self._pool = page_rows(self.slot_count * self.slot_bytes, device)
-        self._line = make_line(scene, self._pool, self.slot_bytes, device)
+        self._transfer = make(scene, self._pool, self.slot_bytes, device)
         self._zero_copy: np.ndarray | None = None  # addresses of pages in pinned memory
         self._changed = threading.Condition()
         self._changes = 0
@@ -163,11 +163,11 @@ class Residency:
 
     def close(self) -> None:
         """Wait for pages on their way, and start no more."""
-        line = getattr(self, "_line", None)
-        if line is not None:
+        transfer = getattr(self, "_transfer", None)
+        if transfer is not None:
             with self._changed:
                 self._wanted.clear()
-            line.close()
+            transfer.close()
 
     # --- what is brought in
 
@@ -179,7 +179,7 @@ class Residency:
             self._check()
             room = min(
                 coming_most - int((self._state == COMING).sum()) - len(self._filled),
-                self._line.room() - len(self._wanted),
+                self._transfer.room() - len(self._wanted),
             )
             chosen = choose(self._facts(), room) if room > 0 else []
             if not chosen:
@@ -279,7 +279,7 @@ class Residency:
             self._slot[page] = slot
             self._bytes_there += self.scene.pages[page].device_bytes
             self.bytes_peak = max(self.bytes_peak, self._bytes_always + self._bytes_there)
-            self._line.fill(page, slot, used, self._arrived)
+            self._transfer.fill(page, slot, used, self._arrived)
 
     def _arrived(self, page: int, filled: wp.Event | None, error: BaseException | None) -> None:
         with self._changed:
@@ -306,13 +306,13 @@ class Residency:
             addresses = np.zeros(len(self._state), np.uint64)
             addresses[shown] = self._pool.ptr + self._slot[shown].astype(np.int64) * self.slot_bytes
             for page, filled in self._filled.items():
-                self._line.land(page, int(self._slot[page]), filled)
+                self._transfer.complete(page, int(self._slot[page]), filled)
             self._filled.clear()
             return shown, addresses
 
     def _hide(self, shown: np.ndarray) -> None:
         with self._changed:
-            mark = self._line.mark()
+            mark = self._transfer.mark()
             for page in shown.tolist():
                 self._used[self._slot[page]] = mark
                 self._pins[page] -= 1

@@ -118,10 +118,10 @@ class PageBuilder:
                 "triangle": len(chunk.top_triangles),
                 "treelet": len(chunk.treelet_root),
                 "size": len(chunk.faces),
-                "centre": chunk.centre,
-                "box": chunk.box,
-                "sah": chunk.sah,
-                "depth": chunk.depth,
+                "centre": chunk.facts.centre,
+                "box": chunk.facts.box,
+                "sah": chunk.facts.sah,
+                "depth": chunk.facts.depth,
                 "levels": chunk.levels,
             }
         )

@@ -20,7 +20,7 @@ from typing import Protocol
 
 import warp as wp
 
-from .build import PagedScene
+from .paged_scene import PagedScene
 from .store import bytes_of_rows, page_buffer
 
 # Pages that are read at the same time; as many are staged on their way to a CUDA device
@@ -33,19 +33,19 @@ Arrived = Callable[[int, wp.Event | None, BaseException | None], None]
 """Called once a page is in its slot, or will be behind a mark: (page, mark or None, error or None); from any thread."""
 
 
-class PageLine(Protocol):
+class PageTransfer(Protocol):
     """Fills slots of the pool."""
 
     def fill(self, number: int, slot: int, used: wp.Event | None, arrived: Arrived) -> None:
         """Bring page `number` to `slot`, behind the mark `used` (None: at once)."""
 
     def room(self) -> int:
-        """Number of further pages that can be on their way now, beside those that have not landed."""
+        """Number of further pages that can be on their way now, beside those that are not complete."""
 
     def mark(self) -> wp.Event | None:
         """The point behind everything that was launched so far; None where launches are over when they return."""
 
-    def land(self, number: int, slot: int, filled: wp.Event | None) -> None:
+    def complete(self, number: int, slot: int, filled: wp.Event | None) -> None:
         """Let launches from now on find page `number` in `slot`, where it came behind the mark `filled`."""
 
     def close(self) -> None:
@@ -70,14 +70,14 @@ def staging_count(scene: PagedScene, slot_count: int) -> int:
     return 2 * pages_a_step(scene, slot_count) if slot_count > 1 else 1
 
 
-def page_line(scene: PagedScene, pool: wp.array, slot_bytes: int, device: wp.Device) -> PageLine:
-    """The line for the pages of `scene` to slots of `slot_bytes` in `pool` (`page_rows`)."""
+def page_transfer(scene: PagedScene, pool: wp.array, slot_bytes: int, device: wp.Device) -> PageTransfer:
+    """The transfer of the pages of `scene` to slots of `slot_bytes` in `pool` (`page_rows`)."""
     if not device.is_cuda:
-        return HostLine(scene, pool, slot_bytes)
-    return CudaLine(scene, pool, slot_bytes, device)
+        return HostTransfer(scene, pool, slot_bytes)
+    return CudaTransfer(scene, pool, slot_bytes, device)
 
 
-class HostLine:
+class HostTransfer:
     """Threads read pages straight into the pool."""
 
     def __init__(self, scene: PagedScene, pool: wp.array, slot_bytes: int):
@@ -110,7 +110,7 @@ class HostLine:
     def mark(self) -> None:
         return None
 
-    def land(self, number: int, slot: int, filled: wp.Event | None) -> None:
+    def complete(self, number: int, slot: int, filled: wp.Event | None) -> None:
         """Launches find pages in place."""
 
     def close(self) -> None:
@@ -126,7 +126,7 @@ def _read_and_report(arrived: Arrived, number: int, read: Callable[[int, int], w
         arrived(number, mark, None)
 
 
-class CudaLine:
+class CudaTransfer:
     """Copies on a stream of their own: from where pages lie in pinned memory, or from pinned buffers that threads
     fill.
     """
@@ -138,7 +138,7 @@ class CudaLine:
         # buffers, and the mark behind what was last done with them, or None
         self._pinned: queue.SimpleQueue = queue.SimpleQueue()
         self._staging: queue.SimpleQueue = queue.SimpleQueue()
-        self._staged: dict[int, wp.array] = {}  # by page, until it has landed
+        self._staged: dict[int, wp.array] = {}  # by page, until it has completed
         self._staging_free = staging_count(scene, pool.size // slot_bytes)
         if scene.encoded:
             for _ in range(self._staging_free):
@@ -187,7 +187,7 @@ class CudaLine:
     def room(self) -> int:
         return self._staging_free if self._scene.encoded else 2**31 - 1
 
-    def land(self, number: int, slot: int, filled: wp.Event | None) -> None:
+    def complete(self, number: int, slot: int, filled: wp.Event | None) -> None:
         stream, page = self._device.stream, self._scene.pages[number]
         stream.wait_event(filled)
         self._staging_free += 1

@@ -1,6 +1,6 @@
 """The ops of programs, a file for each family of Blender's nodes."""
 
-from .closures import aov, closure_ops, closure_ops_facets, closure_ops_hair, closure_ops_soft, layers, volume_ops  # noqa: F401
+from .closures import aov, facets, hair, layers, plain, soft, volume_ops  # noqa: F401
 from .inputs import (  # noqa: F401
     attributes,
     bump,

@@ -5,7 +5,6 @@ program made. wo and wi are unit and point away from the surface.
 """
 
 import functools
-from typing import NamedTuple
 
 import warp as wp
 
@@ -29,6 +28,7 @@ from .materials import (
     SUBSURFACE,
     TRANSMISSION,
     TRANSPARENT,
+    Bsdf,
     BsdfSample,
     BsdfValue,
     ClosureFeatures,
@@ -75,27 +75,6 @@ _SHEET = wp.constant(int(_K.SHEET))
 _SUBSURFACE = wp.constant(int(_K.SUBSURFACE))
 _TOON = wp.constant(int(_K.TOON))
 _RAY_PORTAL = wp.constant(int(_K.RAY_PORTAL))
-
-
-class Bsdf(NamedTuple):
-    """Functions (`wp.Function`) of one specialisation."""
-
-    # (closures, first, end, albedo, frame, wo, lobes) writes the closures as seen from wo to `lobes`, array of `Lobe`
-    # with an entry for each, which the next two read
-    look: wp.Function
-    # (closures, first, end, lobes, albedo, frame, wo, u_lobe: float, u: vec2) -> BsdfSample: a direction from one
-    # closure. A delta lobe is complete; `complete` weighs others
-    propose: wp.Function
-    mix: wp.Function  # (closures, first, end, lobes, albedo, frame, wo, wi) -> Mixture: sums for one direction
-    value: wp.Function  # (mixture) -> BsdfValue: value and density of all lobes but delta lobes; 0: no lobe reaches
-    # (proposed: BsdfSample, mixture) -> BsdfSample: weighted as a sample of all closures together. `mixture` is that of
-    # the proposed direction
-    complete: wp.Function
-    emission: wp.Function  # (closures, first, end) -> vec3: radiance [W/(m² sr)], the same on both sides
-    transparency: wp.Function  # (closures, first, end) -> vec3: share of light that passes straight on
-    # (closures, first, end) -> bool: some lobe is seen by `mix`; without one, shadow rays are in vain
-    scatters: wp.Function
-    holdout: wp.Function  # (closures, first, end) -> float: share of the film's alpha that the surface takes away
 
 
 @functools.cache
@@ -373,5 +352,15 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
                     share += (weight[0] + weight[1] + weight[2]) / 3.0
         return wp.min(share, 1.0)
 
-    bsdf = Bsdf(functions.look, propose, mix, value_of, complete, emission, transparency, scatters, holdout)
+    bsdf = Bsdf(
+        look=functions.look,
+        propose=propose,
+        mix=mix,
+        value=value_of,
+        complete=complete,
+        emission=emission,
+        transparency=transparency,
+        scatters=scatters,
+        holdout=holdout,
+    )
     return with_hair(bsdf, features)

@@ -7,6 +7,7 @@ import functools
 import math
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import warp as wp
@@ -221,6 +222,27 @@ class BsdfSample:
     pdf: float  # density as in `BsdfValue` [1/sr]; 0 for delta lobes
     lobe: int  # bits DIFFUSE, GLOSSY, TRANSMISSION, TRANSPARENT, DELTA, SUBSURFACE, PORTAL; 0: absorbed
     closure: int  # index of the closure that chose the direction, where that is SUBSURFACE or PORTAL
+
+
+class Bsdf(NamedTuple):
+    """Functions (`wp.Function`) of one specialisation."""
+
+    # (closures, first, end, albedo, frame, wo, lobes) writes the closures as seen from wo to `lobes`, array of `Lobe`
+    # with an entry for each, which the next two read
+    look: wp.Function
+    # (closures, first, end, lobes, albedo, frame, wo, u_lobe: float, u: vec2) -> BsdfSample: a direction from one
+    # closure. A delta lobe is complete; `complete` weighs others
+    propose: wp.Function
+    mix: wp.Function  # (closures, first, end, lobes, albedo, frame, wo, wi) -> Mixture: sums for one direction
+    value: wp.Function  # (mixture) -> BsdfValue: value and density of all lobes but delta lobes; 0: no lobe reaches
+    # (proposed: BsdfSample, mixture) -> BsdfSample: weighted as a sample of all closures together. `mixture` is that of
+    # the proposed direction
+    complete: wp.Function
+    emission: wp.Function  # (closures, first, end) -> vec3: radiance [W/(m² sr)], the same on both sides
+    transparency: wp.Function  # (closures, first, end) -> vec3: share of light that passes straight on
+    # (closures, first, end) -> bool: some lobe is seen by `mix`; without one, shadow rays are in vain
+    scatters: wp.Function
+    holdout: wp.Function  # (closures, first, end) -> float: share of the film's alpha that the surface takes away
 
 
 def upload_materials(materials: Sequence[Material], features: ClosureFeatures, device) -> MaterialTable:

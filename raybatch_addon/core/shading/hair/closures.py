@@ -5,22 +5,26 @@ Functions for materials without hair are not touched. Hair scatters to all sides
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import warp as wp
 
 from ...float32 import ONE_BELOW
 from ...scene.description import ClosureKind
 from ..bsdf.albedo import AlbedoTables
 from ..bsdf.lobes import Lobe
-from ..bsdf.materials import GLOSSY, HAIR_KINDS, TRANSMISSION, BsdfSample, ClosureFeatures, ClosureRecord, ShadingFrame
+from ..bsdf.materials import (
+    GLOSSY,
+    HAIR_KINDS,
+    TRANSMISSION,
+    Bsdf,
+    BsdfSample,
+    ClosureFeatures,
+    ClosureRecord,
+    ShadingFrame,
+)
 from ..bsdf.mixture import Mixture
 from .chiang import HairDirection, cylinder_albedo, cylinder_of, principled_hair_value, sample_principled_hair
 from .huang import facet_hair_value, fibre_albedo, fibre_of, sample_facet_hair
 from .lobes import hair_lobe_value, sample_hair_lobe
-
-if TYPE_CHECKING:
-    from ..bsdf.bsdf import Bsdf
 
 _TRANSMISSION = wp.constant(int(ClosureKind.HAIR_TRANSMISSION))
 _PRINCIPLED = wp.constant(int(ClosureKind.PRINCIPLED_HAIR))

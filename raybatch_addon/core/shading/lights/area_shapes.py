@@ -1,4 +1,4 @@
-"""Shapes of area lights, to be sampled and to be met as in `light_shapes.py`.
+"""Shapes of area lights, to be sampled and to be met as in `shapes.py`.
 
 They are rectangles and ellipses that shine from one side. A surface in the plane of a light is behind it.
 """
@@ -7,8 +7,8 @@ import numpy as np
 import warp as wp
 
 from ..sampling import sample_disk, to_world
-from .light_shapes import GAMMA_8, LightSample, area_to_solid_angle
-from .light_table import LightRecord
+from .shapes import GAMMA_8, LightSample, area_to_solid_angle
+from .table import LightRecord
 
 # A rectangle's solid angle is a sum of four angles of up to pi, less 2 pi: its error is about eight roundings of pi.
 # Below this solid angle the error exceeds a thousandth, and uniform points on the rectangle serve as well: it is small

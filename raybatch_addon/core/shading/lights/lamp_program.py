@@ -23,7 +23,7 @@ from ...scene.geometry import Geometry, mat34, transform_vector
 from ...scene.program import ProgramFeatures
 from ..bsdf.materials import RECORD_FLOATS, ClosureRecord, address_of
 from ..images.textures import ImageTable
-from .light_table import LightRecord, LightTable
+from .table import LightRecord, LightTable
 
 _POINT = wp.constant(int(LightKind.POINT))
 _SPOT = wp.constant(int(LightKind.SPOT))

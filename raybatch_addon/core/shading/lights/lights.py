@@ -1,6 +1,6 @@
 """Light sampling: the choice of an emitter and of a point on it, with densities.
 
-Light that rays meet by themselves is in `light_hits.py`.
+Light that rays meet by themselves is in `hits.py`.
 """
 
 from __future__ import annotations
@@ -15,8 +15,10 @@ from ...scene.description import LightKind
 from ...scene.features import narrow
 from ...scene.geometry import Geometry
 from .area_shapes import sample_area_light, sample_parallel_light
-from .light_choice import ChoiceFeatures, LitPoint, make_light_choice
-from .light_shapes import (
+from .choice import ChoiceFeatures, LitPoint, make_light_choice
+from .links import blocking_visibility, is_linked, owner_of
+from .portals.portals import has_portals, sample_through_portals
+from .shapes import (
     LAMP_PROGRAM,
     SURFACE_PROGRAM,
     WORLD_PROGRAM,
@@ -26,10 +28,8 @@ from .light_shapes import (
     sample_sun,
     spot_factor,
 )
-from .light_table import LightRecord, LightTable
-from .light_triangles import find_triangle, sample_triangle_light, triangle_pdf
-from .links import blocking_visibility, is_linked, owner_of
-from .portals.portals import has_portals, sample_through_portals
+from .table import LightRecord, LightTable
+from .triangles import find_triangle, sample_triangle_light, triangle_pdf
 from .world import WorldDirection, sample_world
 
 _POINT = wp.constant(int(LightKind.POINT))

@@ -7,9 +7,9 @@ import functools
 import warp as wp
 
 from ...scene.description import ALL_SHADOW_SETS, SHADOW_SET_SHIFT
-from .light_choice import LitPoint
-from .light_table import LightTable
-from .light_visibility import is_lit_in_part
+from .choice import LitPoint
+from .table import LightTable
+from .visibility import is_lit_in_part
 
 
 @wp.func

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from ...shading.lights.light_table import LightTable
+from ...shading.lights.table import LightTable
 from ..rays import Paths
 from .state import Life
 

@@ -7,7 +7,7 @@ from enum import IntEnum
 import numpy as np
 import warp as wp
 
-from ...film.layout import ChannelLayout
+from ...film.channels import ChannelLayout
 from ...scene.description import Scene
 from ...scene.features import SceneFeatures
 from ...scene.linking import catchers

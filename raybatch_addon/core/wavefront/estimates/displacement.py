@@ -9,7 +9,7 @@ from ...displacement.evaluate import Move, VertexWork, move_vertices
 from ...programs.op import NodeData
 from ...programs.table import store_programs
 from ...scene.program import ProgramFeatures
-from ..scene.scene_data import SceneData
+from ..scene.shading_data import SceneData
 from ..tier import asked_tier, general_features, lack_of
 from .kernels import estimate_kernel
 from .work import Estimate, EstimateWork

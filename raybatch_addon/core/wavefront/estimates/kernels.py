@@ -9,7 +9,7 @@ import warp as wp
 from ...device.kernel import general_options, kernel_options, specialised_out_of_line
 from ...displacement.evaluate import make_displace
 from ...scene.features import SceneFeatures
-from ..scene.scene_data import SceneData
+from ..scene.shading_data import SceneData
 from .lamps import make_lamp_estimate
 from .triangles import make_triangle_estimate
 from .work import Estimate, EstimateWork

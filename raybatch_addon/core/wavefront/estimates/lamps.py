@@ -9,9 +9,9 @@ import warp as wp
 from ...scene.description import LightKind
 from ...scene.program import ProgramFeatures
 from ...shading.lights.lamp_program import make_lamp_emission
-from ...shading.lights.light_table import LightRecord
+from ...shading.lights.table import LightRecord
 from ...shading.sampling import bitangent_of, sample_cone, sample_sphere, tangent_of, to_world
-from ..scene.scene_data import SceneData
+from ..scene.shading_data import SceneData
 from .work import EstimateWork
 
 # Distances at which the points are looked at, in turn: the scene's radius, its half, its quarter, ...

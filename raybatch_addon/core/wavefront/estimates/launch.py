@@ -12,8 +12,8 @@ from ...device.devices import load_module, worker_count
 from ...scene.description import Scene
 from ...scene.features import SceneFeatures
 from ...shading.lights.emitters import scene_radius
-from ...shading.lights.light_table import LightTable
-from ..scene.scene_data import SceneData
+from ...shading.lights.table import LightTable
+from ..scene.shading_data import SceneData
 from .kernels import estimate_kernel
 from .work import Estimate, EstimateWork
 

@@ -9,7 +9,7 @@ import warp as wp
 from ...scene.program import ProgramFeatures
 from ...shading.sampling import bitangent_of, tangent_of
 from ...shading.surface import make_surface
-from ..scene.scene_data import SceneData
+from ..scene.shading_data import SceneData
 from ..stages.emitted import make_surface_emission
 from .work import EstimateWork
 

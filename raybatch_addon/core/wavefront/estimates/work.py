@@ -7,7 +7,7 @@ from enum import IntEnum
 import warp as wp
 
 from ...displacement.evaluate import VertexWork
-from ...shading.lights.light_table import LightTable
+from ...shading.lights.table import LightTable
 from ...shading.lights.world import WorldTable
 
 

@@ -8,7 +8,7 @@ import warp as wp
 
 from ...scene.program import ProgramFeatures
 from ...shading.lights.world import texel_direction
-from ..scene.scene_data import SceneData
+from ..scene.shading_data import SceneData
 from ..stages.emitted import make_world_emission
 from .work import EstimateWork
 

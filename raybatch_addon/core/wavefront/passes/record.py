@@ -12,7 +12,7 @@ from ...rays import Rays
 from ...shading.bsdf.bsdf import ClosureFeatures, make_bsdf
 from ..catchers.copies import is_copy
 from ..rays import Paths
-from ..scene.scene_data import SceneData, depth_of
+from ..scene.shading_data import SceneData, depth_of
 from ..stages.generate import pixel_sample
 from ..stages.surface.vertex import Vertex
 from ..stages.work import TileWork

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 import warp as wp
 
-from ...film.layout import ChannelLayout
+from ...film.channels import ChannelLayout
 from ...film.mattes import MatteEntry
 from ...programs.inputs_data import corner_values
 from ...scene.cryptomatte import matte_identity

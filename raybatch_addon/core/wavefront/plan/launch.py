@@ -32,7 +32,7 @@ class Launch:
         """What the settings of the group LAUNCH ask for."""
         return Launch(
             warp_count=settings.warp_count,
-            single_lane=settings.single_lane == "ON",
+            single_lane=settings.is_on("single_lane"),
             register_cap=settings.register_cap,
             block_size=settings.block_size or Launch.block_size,
         )

@@ -100,7 +100,7 @@ def plan_tracing(
         complaint = f"batching is OFF, not REFERENCE: {why}"
         plan = TracingPlan(Method.UNBATCHED, choices={"batching": Choice("OFF", why)}, complaints=(complaint,))
     if plan.method is Method.REFERENCE or settings.spatial_splits != "AUTO":
-        return replace(plan, splits=settings.spatial_splits == "ON")
+        return replace(plan, splits=settings.is_on("spatial_splits"))
     if not splits_triangles("AUTO", layout) or plan.method is Method.PAGED:
         choice = Choice("OFF", "the builder that is used here is faster without")
     else:

@@ -28,7 +28,7 @@ from ...shading.segments import is_segment
 from ...shading.sequences.keys import TEXTURE
 from ...shading.sequences.sampler import make_sampler
 from ..rays import Paths, visibility_of
-from ..scene.scene_data import SceneData
+from ..scene.shading_data import SceneData
 from ..stages.surface.answered import give_answers
 from ..stages.surface.cone import cone_width, path_cone
 from ..stages.surface.program import shading_point, with_steps

@@ -33,7 +33,7 @@ from ...shading.surface import SurfacePoint, spawn_origin
 from ..passes.record import mean_channel
 from ..passes.state import add_channels
 from ..rays import SHADOW_PASS, Paths, Status, bounce_of, time_of, visibility_of
-from ..scene.scene_data import SceneData
+from ..scene.shading_data import SceneData
 from ..stages.generate import pixel_sample
 from ..stages.limits import PathLimits, has_light
 from ..stages.surface.answered import give_answers

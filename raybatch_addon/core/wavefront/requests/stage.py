@@ -18,7 +18,7 @@ from ...shading.segments import make_surface_point
 from ...shading.sequences.sampler import make_sampler
 from ...shading.surface import SurfacePoint, spawn_origin
 from ..rays import SHADOW_PASS, Paths, Status, bounce_of, time_of
-from ..scene.scene_data import SceneData
+from ..scene.shading_data import SceneData
 from ..stages.generate import pixel_sample
 from ..stages.limits import PathLimits
 from ..stages.surface.vertex import VertexFeatures, make_vertex

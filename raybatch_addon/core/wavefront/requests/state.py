@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import TYPE_CHECKING
 
 import warp as wp
 
-from ...native.structs import upload_struct
 from ...programs.ops.inputs.ray_inputs import ANSWERS
 from ...scene.features import SceneFeatures
-
-if TYPE_CHECKING:
-    from ..rays import Paths
 
 
 class Phase(IntEnum):
@@ -54,17 +49,14 @@ def _arrays() -> dict[str, type]:
     return {name: each.type.dtype for name, each in Requests.vars.items() if name != "first"}
 
 
-def give_requests(paths: Paths, features: SceneFeatures, device: wp.Device) -> Requests | None:
-    """The state of `paths`, which get it; the programs are those of `features`. None where no rays are asked
-    for.
-    """
+def allocate_requests(path_count: int, features: SceneFeatures, device: wp.Device) -> Requests | None:
+    """The state of `path_count` paths; the programs are those of `features`. None where no rays are asked for."""
     if not (features.requests or features.occlusion_pass):
         return None
     requests, programs = Requests(), features.programs
     requests.first = programs.register_count - ANSWERS - 3 * programs.answer_count
     for name, dtype in _arrays().items():
-        setattr(requests, name, wp.zeros(paths.status.size, dtype=dtype, device=device))
-    paths.requests = upload_struct(requests, device)
+        setattr(requests, name, wp.zeros(path_count, dtype=dtype, device=device))
     return requests
 
 

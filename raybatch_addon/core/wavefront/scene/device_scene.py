@@ -26,7 +26,7 @@ from ...shading.camera import CameraData, upload_camera
 from ...shading.images.image_upload import UploadedImages
 from ...shading.lights.emitters import emits_light, find_emissive_triangles
 from ...shading.lights.lamp_program import upload_lamp_programs
-from ...shading.lights.light_table import UploadedLights, upload_lights
+from ...shading.lights.table import UploadedLights, upload_lights
 from ..estimates.launch import brightness_of_lamps, emission_of_triangles, world_texels
 from ..order.hit_order import HitKey, sorts_materials
 from ..passes.state import PassInputs, upload_pass_inputs
@@ -34,7 +34,7 @@ from ..plan.plan import Choice, TracingPlan
 from ..plan.tracing import Tracing
 from ..volumes.upload import UploadedVolumes, upload_volumes
 from .scene_cache import BuiltGeometry, GeometryRequest, PagedTree, SceneCache
-from .scene_data import SceneData
+from .shading_data import SceneData
 from .unchanged import emission_key, inputs_key
 from .world_cache import WorldCache
 

@@ -8,14 +8,13 @@ often has a map for each instance.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import warp as wp
 
 from ...bvh.build.scene_tree import BuiltTree, refit_moved
 from ...device.bulk import digest_of
-from ...scene.description import Instances, Scene
+from ...scene.description import Instances, Mesh, Scene
 from ...scene.flatten import IDENTITY, FlatGeometry, baked_mesh
 from ...scene.frozen import Same
 from ...scene.geometry import Geometry, mat34
@@ -95,7 +94,7 @@ def _mirrors(maps: np.ndarray) -> np.ndarray:
     return np.linalg.det(np.asarray(maps, np.float64)[:, :, :3]) < 0
 
 
-def _move(geometry: Geometry, flat: FlatGeometry, instance: int, mesh: Any, transform: np.ndarray) -> None:
+def _move(geometry: Geometry, flat: FlatGeometry, instance: int, mesh: Mesh, transform: np.ndarray) -> None:
     """Bring the vertices and normals of a baked instance to their places."""
     place = flat.instance_mesh[instance]
     part = baked_mesh(mesh, transform)

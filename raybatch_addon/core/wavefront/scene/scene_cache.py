@@ -16,7 +16,8 @@ import warp as wp
 from ...bvh.build.scene_tree import BuiltTree, build_scene_tree, refit_scene_tree
 from ...bvh.memory import GeometrySize, check_counts, check_memory, explained_memory_errors
 from ...bvh.node import Layout
-from ...bvh.pages.build import PagedScene, build_paged_scene
+from ...bvh.pages.build import build_paged_scene
+from ...bvh.pages.paged_scene import PagedScene
 from ...bvh.pages.residency import Residency, staging_bytes_of
 from ...bvh.traverse.reference import BuiltReference, build_reference
 from ...bvh.tree import Tree
@@ -338,11 +339,11 @@ def _build(
             visibility,
             layout,
             device,
-            plan.geometry_budget,
-            plan.geometry_store,
-            request.page_folder,
-            cut_rule(request.plan, request.settings),
-            spatial_splits=settings.spatial_splits == "ON",
+            budget=plan.geometry_budget,
+            store=plan.geometry_store,
+            folder=request.page_folder,
+            rule=cut_rule(request.plan, request.settings),
+            spatial_splits=settings.is_on("spatial_splits"),
             encoded=encodes(layout),
             corners=geometry.positions if device.is_cuda else None,
             cancelled=request.cancelled,
@@ -351,7 +352,14 @@ def _build(
     if plan.method is Method.REFERENCE:
         return Kept(fingerprint, geometry, build_reference(flat, visibility, request.instancing, device))
     built = build_scene_tree(
-        flat, geometry, visibility, request.instancing, device, layout, plan.splits, settings.spatial_splits == "ON"
+        flat,
+        geometry,
+        visibility,
+        request.instancing,
+        device,
+        layout,
+        spatial_splits=plan.splits,
+        splits_moving=settings.is_on("spatial_splits"),
     )
     return Kept(fingerprint, geometry, built)
 

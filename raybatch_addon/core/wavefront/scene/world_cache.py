@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 
 from ...scene.description import Scene, World
-from ...shading.lights.light_visibility import SCATTERED_RAYS
+from ...shading.lights.visibility import SCATTERED_RAYS
 from ...shading.lights.world import SampledWorld, is_even, sampled_world
 from .unchanged import Last, camera_key, images_of, pictures_of
 

@@ -11,10 +11,10 @@ from ...rays import Rays
 from ...scene.features import PATH_HISTORY_OPS
 from ...scene.program import ProgramFeatures
 from ...shading.lights.lamp_program import make_lamp_emission
-from ...shading.lights.light_shapes import LAMP_PROGRAM, SURFACE_PROGRAM, WORLD_PROGRAM
+from ...shading.lights.shapes import LAMP_PROGRAM, SURFACE_PROGRAM, WORLD_PROGRAM
 from ..passes.light import make_add_light
 from ..rays import Paths, Status, bounce_to_light, passed_before_light
-from ..scene.scene_data import SceneData
+from ..scene.shading_data import SceneData
 from .emitted import make_surface_emission, make_world_emission
 from .limits import PathLimits, clamped
 from .surface.history import DEPTHS

@@ -17,7 +17,7 @@ from ...shading.segments import make_surface_point
 from ...shading.surface import material_at, spawn_origin
 from ..passes.light import make_add_light
 from ..rays import SHADOW_PASS, Paths, Status, bounce_to_light, time_of
-from ..scene.scene_data import SceneData
+from ..scene.shading_data import SceneData
 from .connect import ConnectFeatures, make_arrived
 from .limits import PathLimits, has_light
 from .surface.features import SurfaceFeatures

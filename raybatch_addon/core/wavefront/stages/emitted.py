@@ -11,7 +11,7 @@ from ...scene.description import ClosureKind
 from ...scene.program import ProgramFeatures
 from ...shading.bsdf.materials import RECORD_FLOATS, ClosureRecord, address_of
 from ...shading.surface import make_surface
-from ..scene.scene_data import SceneData
+from ..scene.shading_data import SceneData
 from .surface.program import fixed_closure_count, fixed_closures, make_surface_program, program_of, shading_point
 
 

@@ -55,8 +55,8 @@ def path_limits(settings: RenderSettings, frame_width: int) -> PathLimits:
     limits.clamp_direct = settings.clamp_direct
     limits.clamp_indirect = settings.clamp_indirect
     limits.filter_glossy = settings.filter_glossy
-    limits.caustics_reflective = int(settings.caustics_reflective == "ON")
-    limits.caustics_refractive = int(settings.caustics_refractive == "ON")
+    limits.caustics_reflective = int(settings.is_on("caustics_reflective"))
+    limits.caustics_refractive = int(settings.is_on("caustics_refractive"))
     limits.nee_end = {"ON": frame_width, "OFF": 0, "HALF": frame_width // 2}[settings.nee]
     return limits
 

@@ -14,19 +14,19 @@ from ...rays import Rays
 from ...scene.description import LightKind
 from ...scene.features import narrow
 from ...scene.program import ProgramFeatures
-from ...shading.lights.light_choice import ChoiceFeatures, LitPoint, make_light_choice
-from ...shading.lights.light_hits import LightHitFeatures, make_light_hits
-from ...shading.lights.light_table import LightTable
-from ...shading.lights.light_visibility import is_lit_in_part
+from ...shading.lights.choice import ChoiceFeatures, LitPoint, make_light_choice
+from ...shading.lights.hits import LightHitFeatures, make_light_hits
 from ...shading.lights.lights import light_weights
 from ...shading.lights.links import group_of, owner_of_world
 from ...shading.lights.portals.portals import has_portals, portals_pdf
+from ...shading.lights.table import LightTable
+from ...shading.lights.visibility import is_lit_in_part
 from ...shading.lights.world import world_pdf
 from ..passes.guides import note_seen_light
 from ..passes.light import add_to_group, make_add_light, shows_environment, split_light
 from ..passes.record import DEPTH_OF_NOTHING, record_background
 from ..rays import SHADOW_PASS, Paths, Status, bounce_of, left_point, visibility_of
-from ..scene.scene_data import SceneData
+from ..scene.shading_data import SceneData
 from .emitted import make_world_emission
 from .generate import pixel_sample
 from .limits import PathLimits, clamped
@@ -61,6 +61,7 @@ class BackgroundFeatures:
 @functools.cache
 def make_light_hits_stage(
     features: LightHitFeatures,
+    *,
     transparency: bool,
     clamping: bool,
     subsurface: bool = False,

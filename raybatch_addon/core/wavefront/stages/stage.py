@@ -16,7 +16,7 @@ from ...native.build import native_source
 from ...rays import Rays
 from ...scene.geometry import Geometry
 from ..rays import Paths
-from ..scene.scene_data import SceneData
+from ..scene.shading_data import SceneData
 from .limits import PathLimits
 from .work import ShadingStage, TileWork
 

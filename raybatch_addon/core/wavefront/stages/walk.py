@@ -34,7 +34,7 @@ from ...shading.segments import make_surface_point
 from ...shading.sequences.sampler import make_sampler
 from ...shading.surface import spawn_origin
 from ..rays import SHADOW_PASS, Paths, Status, bounce_of, time_of
-from ..scene.scene_data import SceneData
+from ..scene.shading_data import SceneData
 from .generate import pixel_sample
 from .limits import PathLimits, has_light
 from .work import TileWork

@@ -15,7 +15,7 @@ from ...shading.segments import make_is_closed, make_surface_point
 from ...shading.surface import SurfacePoint, material_at, spawn_origin
 from ...shading.volumes.enclosures import NEAR_MOST, enclosures_near, is_around, passed_at_once
 from ..rays import Paths, Status, time_of
-from ..scene.scene_data import SceneData
+from ..scene.shading_data import SceneData
 from .table import BACK, FRONT, VolumeData, across, entered, holds, left
 
 _RAY_NEW, _SHADOW_NEW, _INSIDE = int(Status.RAY_NEW), int(Status.SHADOW_NEW), int(Status.INSIDE)

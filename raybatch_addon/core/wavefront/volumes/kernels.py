@@ -13,7 +13,7 @@ from ...device.devices import load_module
 from ...device.kernel import KERNEL_OPTIONS, general_options, kernel_options
 from ...rays import Rays
 from ..rays import Paths
-from ..scene.scene_data import SceneData
+from ..scene.shading_data import SceneData
 from ..stages.limits import PathLimits
 from ..stages.work import TileWork, VolumeStage
 from .bounds import make_bound

@@ -10,12 +10,12 @@ from ...programs.op import NodeData
 from ...programs.point import ShadingPoint
 from ...scene.features import narrow
 from ...shading.lights.area_shapes import ERROR_SHARE_MOST
+from ...shading.lights.choice import ChoiceFeatures, LitPoint, make_light_choice
+from ...shading.lights.hits import LightHitFeatures, make_light_hits
 from ...shading.lights.lamp_program import make_lamp_emission
-from ...shading.lights.light_choice import ChoiceFeatures, LitPoint, make_light_choice
-from ...shading.lights.light_hits import LightHitFeatures, make_light_hits
-from ...shading.lights.light_table import LightTable
 from ...shading.lights.lights import light_weights
 from ...shading.lights.links import make_counts, make_found_by_sampling
+from ...shading.lights.table import LightTable
 from ...shading.sequences.keys import mix_bits
 from .features import VolumeFeatures
 from .segment import make_passed

@@ -18,8 +18,8 @@ from ...scene.description import LightKind
 from ...scene.features import narrow
 from ...scene.program import ProgramFeatures
 from ...shading.bsdf.materials import address_of
-from ...shading.lights.light_choice import VOLUME_SIDE
-from ...shading.lights.light_hits import LightHitFeatures, make_light_hits
+from ...shading.lights.choice import VOLUME_SIDE
+from ...shading.lights.hits import LightHitFeatures, make_light_hits
 from ...shading.lights.links import group_of, is_linked, owner_of_world, receiver_of
 from ...shading.segments import make_surface_point
 from ...shading.sequences.keys import DIMENSIONS_PER_BOUNCE
@@ -31,7 +31,7 @@ from ...shading.volumes.phase import PhaseLobe
 from ..catchers.copies import is_in_vacuum
 from ..passes.light import add_to_group, make_add_light
 from ..rays import CAME_BACK, SHADOW_PASS, Paths, Status, bounce_of, left_point, time_of, visibility_of
-from ..scene.scene_data import SceneData
+from ..scene.shading_data import SceneData
 from ..stages.generate import pixel_sample
 from ..stages.limits import PathLimits, clamped, has_light
 from ..stages.surface.aim import AimFeatures, is_aimed, make_choose_light

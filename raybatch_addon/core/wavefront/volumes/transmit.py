@@ -14,7 +14,7 @@ from ...shading.surface import material_at
 from ...shading.volumes.numbers import SHADOW_STREAM, stream_of
 from ..catchers.copies import is_in_vacuum
 from ..rays import SHADOW_PASS, Paths, bounce_to_light, time_of
-from ..scene.scene_data import SceneData
+from ..scene.shading_data import SceneData
 from ..stages.generate import pixel_sample
 from ..stages.limits import PathLimits
 from ..stages.work import TileWork

@@ -16,7 +16,7 @@ from ...shading.sequences.sampler import make_sampler
 from ...shading.volumes.phase import PhaseLobe
 from ..passes.light import divide_volume_ray
 from ..rays import BOUNCE_SHIFT, SHADOW_PASS, VISIBILITY_SHIFT, Paths, Status, note_density, note_receiver
-from ..scene.scene_data import SceneData
+from ..scene.shading_data import SceneData
 from ..stages.limits import PathLimits, has_light, survival_of
 from ..stages.surface.aim import AimFeatures, make_choose_light
 from ..stages.surface.connect_light import make_connect_light

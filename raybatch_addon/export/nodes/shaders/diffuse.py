@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ....core.programs.builder import Value
-from ....core.programs.ops.closures.closure_ops_soft import SubsurfaceMethod
+from ....core.programs.ops.closures.soft import SubsurfaceMethod
 from ....core.scene.description import ClosureKind
 from ..node import Node
 from ..registry import shader

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ....core.programs.builder import Value
-from ....core.programs.ops.closures.closure_ops_facets import Distribution
+from ....core.programs.ops.closures.facets import Distribution
 from ....core.scene.description import ClosureKind
 from ..node import WHITE, Node
 from ..registry import shader

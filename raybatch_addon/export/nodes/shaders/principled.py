@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import KW_ONLY, dataclass
 
 from ....core.programs.builder import Value
-from ....core.programs.ops.closures.closure_ops_facets import Distribution
-from ....core.programs.ops.closures.closure_ops_soft import SubsurfaceMethod
+from ....core.programs.ops.closures.facets import Distribution
+from ....core.programs.ops.closures.soft import SubsurfaceMethod
 from ....core.scene.description import Closure, ClosureKind
 from ....core.shading.bsdf.materials import constant_closure
 from ..node import BLACK, WHITE, Graph, Node

@@ -3,7 +3,8 @@
 import warp as wp
 
 from raybatch_addon.core.bvh.node import Layout
-from raybatch_addon.core.bvh.pages.build import PagedScene, build_paged_scene
+from raybatch_addon.core.bvh.pages.build import build_paged_scene
+from raybatch_addon.core.bvh.pages.paged_scene import PagedScene
 from raybatch_addon.core.scene.flatten import flatten
 from tests.support import paged_scenes
 

@@ -11,7 +11,8 @@ import warp as wp
 from raybatch_addon.core.bvh.build.scene_tree import build_scene_tree
 from raybatch_addon.core.bvh.node import Layout, triangle_faces
 from raybatch_addon.core.bvh.pages import chunks as page_chunks
-from raybatch_addon.core.bvh.pages.build import PagedScene, build_paged_scene, page_size
+from raybatch_addon.core.bvh.pages.build import build_paged_scene, page_size
+from raybatch_addon.core.bvh.pages.paged_scene import PagedScene
 from raybatch_addon.core.bvh.pages.residency import Residency
 from raybatch_addon.core.bvh.traverse.options import TraceOptions
 from raybatch_addon.core.bvh.treelets.cut import CutRule

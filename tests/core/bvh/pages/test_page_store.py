@@ -13,7 +13,8 @@ import warp as wp
 
 from raybatch_addon.core.bvh.node import Layout
 from raybatch_addon.core.bvh.pages import file as page_file
-from raybatch_addon.core.bvh.pages.build import PagedScene, build_paged_scene
+from raybatch_addon.core.bvh.pages.build import build_paged_scene
+from raybatch_addon.core.bvh.pages.paged_scene import PagedScene
 from raybatch_addon.core.bvh.pages.store import PAGE_ALIGNMENT, PageFileError, page_buffer
 from raybatch_addon.core.scene.flatten import flatten
 from tests.core.bvh.pages.page_files import BUDGET, SCENE, built

@@ -10,11 +10,11 @@ import pytest
 import warp as wp
 
 from raybatch_addon.core.bvh.node import Layout
-from raybatch_addon.core.bvh.pages.build import PagedScene
+from raybatch_addon.core.bvh.pages.paged_scene import PagedScene
 from raybatch_addon.core.bvh.pages.residency import PageCounts, Residency, slots_in
 from raybatch_addon.core.bvh.pages.resident import load_nodes
 from raybatch_addon.core.bvh.pages.store import HostStore, Page, PageFileError
-from raybatch_addon.core.bvh.pages.transfer import CudaLine
+from raybatch_addon.core.bvh.pages.transfer import CudaTransfer
 from raybatch_addon.core.bvh.tree import Tree
 from raybatch_addon.core.errors import OutOfMemoryError
 
@@ -219,13 +219,13 @@ def test_a_page_that_cannot_be_read_stops_who_waits():
     residency.close()
 
 
-def test_a_line_waits_for_its_copies_where_one_of_its_threads_closes_it(monkeypatch):
+def test_a_transfer_waits_for_its_copies_where_one_of_its_threads_closes_it(monkeypatch):
     """The last to know a pool may be a thread that reads; the pool's memory is free behind that."""
-    line, waited = CudaLine.__new__(CudaLine), []
-    line._stream, line._threads = "stream", ThreadPoolExecutor(1)
+    transfer, waited = CudaTransfer.__new__(CudaTransfer), []
+    transfer._stream, transfer._threads = "stream", ThreadPoolExecutor(1)
     monkeypatch.setattr(wp, "synchronize_stream", waited.append)
     with pytest.raises(RuntimeError, match="join"):
-        line._threads.submit(line.close).result(5)
+        transfer._threads.submit(transfer.close).result(5)
     assert waited == ["stream"]
 
 

@@ -6,7 +6,7 @@ import pytest
 from raybatch_addon.core.programs import ops  # noqa: F401  (registers ops)
 from raybatch_addon.core.programs.builder import ProgramBuilder
 from raybatch_addon.core.programs.op import as_python
-from raybatch_addon.core.programs.ops.closures.closure_ops_soft import SubsurfaceMethod
+from raybatch_addon.core.programs.ops.closures.soft import SubsurfaceMethod
 from raybatch_addon.core.scene.description import ClosureKind as K
 from raybatch_addon.core.shading.bsdf.subsurface import (
     diffusion_length,

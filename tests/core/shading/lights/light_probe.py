@@ -11,10 +11,10 @@ from raybatch_addon.core.programs.op import NodeData
 from raybatch_addon.core.scene.description import Camera, CameraKind, Frame, Light, LightKind, Scene
 from raybatch_addon.core.scene.flatten import flatten
 from raybatch_addon.core.scene.geometry import Geometry, upload_geometry
-from raybatch_addon.core.shading.lights.light_choice import lit_point, packed_side
-from raybatch_addon.core.shading.lights.light_hits import LightHitFeatures, make_light_hits
-from raybatch_addon.core.shading.lights.light_table import LightTable, upload_lights
+from raybatch_addon.core.shading.lights.choice import lit_point, packed_side
+from raybatch_addon.core.shading.lights.hits import LightHitFeatures, make_light_hits
 from raybatch_addon.core.shading.lights.lights import LightFeatures, make_lights
+from raybatch_addon.core.shading.lights.table import LightTable, upload_lights
 from raybatch_addon.core.shading.sampling import bitangent_of, sample_cone, tangent_of, to_world
 from tests.support.under_test import BLOCK_DIM, DEVICE
 

@@ -22,10 +22,10 @@ from raybatch_addon.core.scene.description import (
 )
 from raybatch_addon.core.scene.flatten import flatten
 from raybatch_addon.core.scene.geometry import Geometry, upload_geometry
+from raybatch_addon.core.shading.lights.choice import lit_point, packed_side
 from raybatch_addon.core.shading.lights.emitters import find_emissive_triangles, scene_radius
-from raybatch_addon.core.shading.lights.light_choice import lit_point, packed_side
-from raybatch_addon.core.shading.lights.light_table import LightTable, upload_lights
 from raybatch_addon.core.shading.lights.lights import LightFeatures, make_lights
+from raybatch_addon.core.shading.lights.table import LightTable, upload_lights
 from raybatch_addon.core.shading.lights.world import fixed_point_cdf
 from tests.core.shading.lights.light_probe import (
     COUNT,

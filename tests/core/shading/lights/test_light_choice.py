@@ -10,11 +10,11 @@ from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.scene.description import Closure, ClosureKind, Instances, Light, LightKind, Material, Mesh
 from raybatch_addon.core.scene.flatten import flatten
 from raybatch_addon.core.scene.geometry import Geometry, upload_geometry
+from raybatch_addon.core.shading.lights.choice import ChoiceFeatures, lit_point, make_light_choice, packed_side
 from raybatch_addon.core.shading.lights.choice_table import BLOCK_WIDTH, FIELDS
 from raybatch_addon.core.shading.lights.emitters import EmissiveTriangles
-from raybatch_addon.core.shading.lights.light_choice import ChoiceFeatures, lit_point, make_light_choice, packed_side
-from raybatch_addon.core.shading.lights.light_table import LightTable, upload_lights
 from raybatch_addon.core.shading.lights.lights import LightFeatures, make_lights
+from raybatch_addon.core.shading.lights.table import LightTable, upload_lights
 from raybatch_addon.core.shading.lights.tree import fill, topology
 from raybatch_addon.core.shading.lights.world import sampled_world
 from tests.core.shading.lights.light_probe import facing, scene_of

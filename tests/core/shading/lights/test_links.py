@@ -12,7 +12,7 @@ from raybatch_addon.core.scene.flatten import flatten
 from raybatch_addon.core.scene.geometry import upload_geometry
 from raybatch_addon.core.scene.linking import catcher_bits, shadow_bit
 from raybatch_addon.core.settings.settings import RenderSettings
-from raybatch_addon.core.shading.lights.light_table import upload_lights
+from raybatch_addon.core.shading.lights.table import upload_lights
 from tests.support import scenes
 from tests.support.under_test import DEVICE
 

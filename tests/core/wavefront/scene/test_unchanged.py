@@ -12,7 +12,7 @@ from raybatch_addon.core.scene.description import ClosureKind, Frame, Image, Mat
 from raybatch_addon.core.scene.frozen import freeze
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
-from raybatch_addon.core.shading.lights import light_table
+from raybatch_addon.core.shading.lights import table
 from raybatch_addon.core.wavefront.scene import device_scene, scene_cache
 from tests.support import scenes
 from tests.support.under_test import DEVICE
@@ -87,7 +87,7 @@ def made(monkeypatch):
     count(device_scene, "upload_inputs")
     count(device_scene, "find_emissive_triangles")
     count(device_scene, "emission_of_triangles")
-    count(light_table, "fill_blocks")
+    count(table, "fill_blocks")
     return calls
 
 

@@ -4,7 +4,7 @@ import pytest
 import warp as wp
 
 from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
-from raybatch_addon.core.shading.lights.light_table import LightTable
+from raybatch_addon.core.shading.lights.table import LightTable
 from raybatch_addon.core.wavefront.stages.limits import PathLimits
 from raybatch_addon.core.wavefront.stages.surface.aim import is_aimed
 from raybatch_addon.core.wavefront.stages.surface.vertex import Vertex

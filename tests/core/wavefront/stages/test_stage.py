@@ -10,7 +10,7 @@ from raybatch_addon.core.film.tile import FilmTile
 from raybatch_addon.core.rays import Rays
 from raybatch_addon.core.scene.geometry import Geometry
 from raybatch_addon.core.wavefront.rays import Paths
-from raybatch_addon.core.wavefront.scene.scene_data import SceneData
+from raybatch_addon.core.wavefront.scene.shading_data import SceneData
 from raybatch_addon.core.wavefront.stages.limits import PathLimits
 from raybatch_addon.core.wavefront.stages.stage import stage_kernel, stage_thread_count
 from raybatch_addon.core.wavefront.stages.work import ShadingStage, TileWork

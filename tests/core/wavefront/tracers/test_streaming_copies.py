@@ -19,7 +19,7 @@ from tests.core.wavefront.tracers.paged_rays import (
 )
 
 
-class NotedLine:
+class NotedTransfer:
     """Fills slots at once, as a device may at the earliest, and notes what its streams were asked to do."""
 
     def __init__(self, scene, pool, slot_bytes, device):
@@ -28,7 +28,7 @@ class NotedLine:
         self.fills: list[
             tuple[int, int, int, int]
         ] = []  # page, slot, launches that the copy waits for, launches so far
-        self.landed: list[tuple[int, int]] = []  # page, launches before
+        self.completed: list[tuple[int, int]] = []  # page, launches before
         self.on_their_way = 0
 
     def fill(self, number, slot, used, arrived):
@@ -44,9 +44,9 @@ class NotedLine:
         self.marks += 1
         return self.marks
 
-    def land(self, number, slot, filled):
+    def complete(self, number, slot, filled):
         assert self.fills[filled - 1][:2] == (number, slot)
-        self.landed.append((number, self.marks))
+        self.completed.append((number, self.marks))
 
     def close(self):
         pass
@@ -54,13 +54,13 @@ class NotedLine:
 
 def pipelined(open_pool, paged, slots: int, zero_copy: bool = False, monkeypatch=None):
     """A tracer that is run as on CUDA: counts are one step old, and copies are ordered by marks."""
-    lines, shown = [], []
+    transfers, shown = [], []
 
-    def make_line(*given):
-        lines.append(NotedLine(*given))
-        return lines[0]
+    def make_transfer(*given):
+        transfers.append(NotedTransfer(*given))
+        return transfers[0]
 
-    pool = open_pool(paged, slots, make_line=make_line)
+    pool = open_pool(paged, slots, make_transfer=make_transfer)
     if zero_copy:
         monkeypatch.setattr(Residency, "has_zero_copy", True)
     rays = new_rays()
@@ -74,26 +74,26 @@ def pipelined(open_pool, paged, slots: int, zero_copy: bool = False, monkeypatch
             launch(*given)
 
     tracer._stage = Stage()
-    return rays, tracer, lines[0], shown
+    return rays, tracer, transfers[0], shown
 
 
 @ON_CPU
 @pytest.mark.parametrize("slots", [1, 2, 3, 8])
 def test_no_copy_overwrites_what_a_launch_sees(open_pool, slots):
     paged = paged_of(ONE, many=True)
-    rays, tracer, line, shown = pipelined(open_pool, paged, slots)
+    rays, tracer, transfer, shown = pipelined(open_pool, paged, slots)
     run(tracer)
     require_right(rays)
-    assert len(shown) == line.marks > 3 and len(line.fills) > slots
-    for page, slot, waits_for, launched in line.fills:
+    assert len(shown) == transfer.marks > 3 and len(transfer.fills) > slots
+    for page, slot, waits_for, launched in transfer.fills:
         saw = [i + 1 for i in range(launched) if slot in shown[i].values()]
         assert waits_for >= max(saw, default=0), f"page {page} is copied over what launch {max(saw)} sees"
     for i, pages in enumerate(shown):
         for page in pages:
-            last = max(k for k, fill in enumerate(line.fills) if fill[0] == page and fill[3] <= i)
-            assert any(number == page and line.fills[last][3] <= before <= i for number, before in line.landed), (
-                "a launch sees a page that has not landed"
-            )
+            last = max(k for k, fill in enumerate(transfer.fills) if fill[0] == page and fill[3] <= i)
+            assert any(
+                number == page and transfer.fills[last][3] <= before <= i for number, before in transfer.completed
+            ), "a launch sees a page that has not completed"
 
 
 @ON_CPU
@@ -101,19 +101,19 @@ def test_copies_do_not_wait_for_the_launch_that_runs(open_pool):
     """What is chosen while launch i is under way is copied into slots that it does not see."""
     paged = paged_of(ONE, many=True)
     assert len(paged.pages) > 10
-    _rays, tracer, line, _shown = pipelined(open_pool, paged, 8)
+    _rays, tracer, transfer, _shown = pipelined(open_pool, paged, 8)
     tracer.submit(RayKind.CLOSEST, list_of(np.arange(PATHS)))
     tracer.submit(RayKind.OCCLUSION, list_of(PATHS + np.arange(PATHS)))
     for _ in range(12):
         tracer._step()
-    behind = [launched - waits_for for _, _, waits_for, launched in line.fills]
+    behind = [launched - waits_for for _, _, waits_for, launched in transfer.fills]
     assert len(behind) > 8 and min(behind) >= 1
 
 
 @ON_CPU
 def test_too_few_rays_go_on_where_pages_lie(open_pool, monkeypatch):
     paged = paged_of(ONE)
-    rays, tracer, _line, _shown = pipelined(open_pool, paged, 1, True, monkeypatch)
+    rays, tracer, _transfer, _shown = pipelined(open_pool, paged, 1, True, monkeypatch)
     run(tracer)
     require_right(rays)
     totals = tracer.totals()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import warp as wp
@@ -13,7 +12,7 @@ from ...build.cuda.build import build_mesh
 from ...node import Layout
 from ...treelets.cut import Cut
 from ...treelets.tree import gather_kernel
-from ..chunk import Chunk
+from ..chunk import Chunk, TreeFacts
 from ..divide.cells import MeshTriangles, mesh_corner
 
 _NODE_WORDS = Layout.QUANTISED.node_words
@@ -29,7 +28,7 @@ class ChunkTree:
     triangles: wp.array  # wp.vec4, with numbers in the mesh
     vertices: wp.array  # of each triangle, in the order of `triangles`, int32, shape [3 * count]
     steps: int  # of vertices that move, whose `triangles` and `vertices` lie one behind another
-    known: dict[str, Any]  # fields of `Chunk`
+    facts: TreeFacts
 
 
 @wp.kernel(**KERNEL_OPTIONS)
@@ -131,8 +130,8 @@ def build_chunk(mesh: MeshTriangles, faces: np.ndarray, numbers: wp.array) -> Ch
     made = build_mesh(corners, numbers, 0, count)
     words = retyped(made.triangles, wp.int32)
     wp.launch(name_kernel, count, [listed, vertices, words, named], device=device)
-    known = {"centre": made.centre, "box": made.box, "sah": made.sah, "depth": made.depth}
-    return ChunkTree(faces, made.nodes, made.triangles, named, 1, known)
+    facts = TreeFacts(made.centre, made.box, made.sah, made.depth)
+    return ChunkTree(faces, made.nodes, made.triangles, named, 1, facts)
 
 
 def own_in_place(tree: ChunkTree, mesh: MeshTriangles, shifts: np.ndarray) -> ChunkTree:
@@ -157,7 +156,7 @@ def one_treelet(tree: ChunkTree) -> Chunk:
     wp.launch(one_treelet_kernel, node_count, [retyped(tree.nodes, wp.uint32), moved], device=device)
     return Chunk(
         faces=tree.faces,
-        **tree.known,
+        facts=tree.facts,
         levels=1,
         top_nodes=moved[:_NODE_WORDS].numpy().reshape(1, -1).copy(),
         top_treelet=np.zeros(1, np.int32),
@@ -186,7 +185,7 @@ def in_treelets(tree: ChunkTree, cut: Cut) -> Chunk:
     wp.launch(gather_vertices_kernel, vertices.size, [tree.vertices, order, top, vertices], device=device)
     return Chunk(
         faces=tree.faces,
-        **tree.known,
+        facts=tree.facts,
         levels=cut.levels,
         top_nodes=cut.top_nodes,
         top_treelet=cut.top_treelet,

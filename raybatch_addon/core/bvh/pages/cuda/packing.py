@@ -54,7 +54,16 @@ class DevicePacker:
             words = retyped(packed, wp.uint8)
         node_bytes = padded(sum(block.size for block in nodes))
         sizes, device = (node_bytes, padded(words.size)), (node_bytes, padded(plain.size))
-        page = PackedPage(treelet_end, 0, 0, *sizes, *device, plain.size // _TRIANGLE_BYTES)
+        page = PackedPage(
+            treelet_end=treelet_end,
+            node_byte=0,
+            triangle_byte=0,
+            node_bytes=sizes[0],
+            triangle_bytes=sizes[1],
+            node_device_bytes=device[0],
+            triangle_device_bytes=device[1],
+            units=plain.size // _TRIANGLE_BYTES,
+        )
         self._wait(_STORED_AHEAD - 1)
         # with the arrays that others are parts of
         self._storing.append(self._storer.submit(self._store, nodes, words, plain, page, (held, triangles, packed)))

@@ -20,8 +20,8 @@ from ....shading.bsdf.sheen import sheen_lobe
 from ....shading.bsdf.thin_film import FILM_LEAST, film_on_dielectric
 from ...op import NodeData, number, op, put_number, put_vector, vector
 from ...point import ShadingPoint
-from .closure_ops import is_black, unit_color, unit_number, usable_index, usable_normal, usable_weight
-from .closure_ops_facets import Distribution, film_thickness
+from .facets import Distribution, film_thickness
+from .plain import is_black, unit_color, unit_number, usable_index, usable_normal, usable_weight
 
 # largest reflectance of a dielectric at normal incidence: no finite index has 1 (Blender's bound)
 _REFLECTANCE_MOST = 0.99

@@ -7,7 +7,7 @@ from ....shading.bsdf.materials import ClosureRecord, new_closure
 from ....shading.volumes.phase import usable_cosine
 from ...op import NodeData, closure_op, number, vector
 from ...point import ShadingPoint
-from .closure_ops import begins, usable_weight
+from .plain import begins, usable_weight
 
 
 @wp.func

@@ -9,7 +9,7 @@ from ....shading.bsdf.materials import SURFACE_NORMAL, ClosureRecord, new_closur
 from ...object_space import object_to_world
 from ...op import NodeData, closure_op, number, op, put_vector, vector
 from ...point import ShadingPoint
-from ..closures.closure_ops import usable_normal
+from ..closures.plain import usable_normal
 from .attributes import attribute_value, attribute_width
 from .geometry_inputs import object_normal, surface_tangent, world_normal
 

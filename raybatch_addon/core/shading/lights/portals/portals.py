@@ -11,8 +11,8 @@ import warp as wp
 from ....float32 import ONE_BELOW
 from ....scene.description import LightKind
 from ..area_shapes import meet_area_light, sample_area_light
-from ..light_shapes import LightSample
-from ..light_table import LightRecord, LightTable
+from ..shapes import LightSample
+from ..table import LightRecord, LightTable
 from ..world import WorldDirection, sample_world, world_pdf
 
 _ELLIPSE = wp.constant(int(LightKind.ELLIPSE))

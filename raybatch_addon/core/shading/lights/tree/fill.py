@@ -12,7 +12,7 @@ from ....device.bulk import in_slices, large_empty
 from ....device.devices import load_module
 from ....device.launches import RepeatedLaunches
 from ..choice_table import BLOCK_WIDTH, FIELDS, ChoiceTable
-from ..light_tree import (
+from ..tree.kernels import (
     EmitterBoxes,
     LightBlocks,
     TreeNode,

@@ -16,17 +16,17 @@ from ....film.tile import FilmTile
 from ....rays import Rays
 from ....scene.description import LightKind, Visibility
 from ....scene.features import narrow
-from ....shading.lights.light_choice import lit_point
-from ....shading.lights.light_shapes import LAMP_PROGRAM, LightSample
-from ....shading.lights.light_table import LightTable
+from ....shading.lights.choice import lit_point
 from ....shading.lights.lights import LightFeatures, make_lights
 from ....shading.lights.links import group_of, owner_of
+from ....shading.lights.shapes import LAMP_PROGRAM, LightSample
+from ....shading.lights.table import LightTable
 from ....shading.sequences.keys import LIGHT
 from ....shading.sequences.sampler import make_sampler
 from ...catchers.copies import shines_on_copy
 from ...passes.light import has_groups
 from ...rays import Paths
-from ...scene.scene_data import SceneData
+from ...scene.shading_data import SceneData
 from ..limits import PathLimits
 from ..work import TileWork
 from .vertex import Vertex, VertexFeatures, make_vertex

@@ -13,7 +13,7 @@ from ....programs.run import make_run
 from ....scene.program import ProgramFeatures
 from ....shading.bsdf.materials import ClosureRecord, address_of
 from ...rays import Paths
-from ...scene.scene_data import SceneData
+from ...scene.shading_data import SceneData
 from .program import with_steps
 
 

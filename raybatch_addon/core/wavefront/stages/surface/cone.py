@@ -27,7 +27,7 @@ from ....scene.geometry import Geometry, corners_of, triangle_vertices
 from ....scene.program import ProgramFeatures
 from ....shading.bsdf.materials import DELTA, TRANSMISSION, ClosureRecord, address_of
 from ...rays import Paths
-from ...scene.scene_data import SceneData
+from ...scene.shading_data import SceneData
 from .program import with_steps
 from .vertex import Vertex
 

@@ -9,9 +9,9 @@ import warp as wp
 from ....rays import Rays
 from ....scene.description import ALL_SHADOW_SETS, SHADOW_SET_SHIFT, Visibility
 from ....shading.bsdf.bsdf import BsdfValue
-from ....shading.lights.light_shapes import LightSample
-from ....shading.lights.light_visibility import is_lit_in_part
 from ....shading.lights.lights import light_weights
+from ....shading.lights.shapes import LightSample
+from ....shading.lights.visibility import is_lit_in_part
 from ....shading.surface import spawn_origin
 from ...passes.light import divide_shadow_ray, divide_volume_shadow_ray, make_add_light
 from ...rays import Paths, Status, bounce_of

@@ -9,7 +9,7 @@ from ....shading.bsdf.materials import ClosureRecord
 from ....shading.lights.links import group_of, is_linked, make_found_by_sampling
 from ...passes.light import add_to_group, make_add_light
 from ...rays import Paths, bounce_of, left_point
-from ...scene.scene_data import SceneData
+from ...scene.shading_data import SceneData
 from ..limits import PathLimits, clamped, has_light
 from .features import SurfaceFeatures
 

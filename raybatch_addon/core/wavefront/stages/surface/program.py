@@ -12,7 +12,7 @@ from ....scene.moved import triangle_vertices_at
 from ....scene.program import ProgramFeatures
 from ....shading.bsdf.materials import ClosureRecord, address_of, address_of_closure
 from ....shading.surface import SurfacePoint
-from ...scene.scene_data import SceneData
+from ...scene.shading_data import SceneData
 
 
 @wp.func

@@ -33,8 +33,8 @@ from ....shading.bsdf.materials import (
     address_of_closure,
     new_closure,
 )
-from ....shading.lights.light_shapes import LightSample
 from ....shading.lights.lights import LightFeatures, light_weights, make_lights
+from ....shading.lights.shapes import LightSample
 from ....shading.sampling import bitangent_of, tangent_of
 from ....shading.sequences.keys import BSDF, ROULETTE, TEXTURE
 from ....shading.sequences.sampler import make_sampler
@@ -53,7 +53,7 @@ from ...rays import (
     note_receiver,
     visibility_of,
 )
-from ...scene.scene_data import SceneData, depth_of
+from ...scene.shading_data import SceneData, depth_of
 from ..limits import PathLimits, has_light, survival_of
 from ..walk import make_walk_begin
 from ..work import TileWork

@@ -10,7 +10,7 @@ import warp as wp
 from ....rays import Rays
 from ....shading.bsdf.materials import ShadingFrame
 from ....shading.bsdf.normals import shading_frame
-from ....shading.lights.light_choice import packed_side
+from ....shading.lights.choice import packed_side
 from ....shading.lights.links import receiver_of
 from ....shading.segments import make_surface_point
 from ....shading.sequences.keys import DIMENSIONS_PER_BOUNCE
@@ -18,7 +18,7 @@ from ....shading.sequences.sampler import make_sampler
 from ....shading.surface import SurfacePoint
 from ...catchers.copies import receiver_of_copy
 from ...rays import CAME_BACK, SHADOW_PASS, Paths, Status, bounce_of, time_of
-from ...scene.scene_data import SceneData
+from ...scene.shading_data import SceneData
 from ..generate import PixelSample, pixel_sample
 from ..limits import PathLimits
 from ..walk import STEPS_MOST, walk_dimension

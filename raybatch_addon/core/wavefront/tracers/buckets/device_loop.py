@@ -15,7 +15,6 @@ import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any
 
 import warp as wp
 
@@ -65,7 +64,7 @@ class DeviceLoop:
             policy.device,
             list(kernels),
         )
-        self._graph: Any = None
+        self._graph: wp.Graph | None = None
 
     def prepare(self) -> bool:
         """Capture the loop, once; whether the device can take steps by itself."""

@@ -17,7 +17,7 @@ from ....bvh.tree import DONE, NEW, TopProgress
 from ....device.kernel import KERNEL_OPTIONS
 from ....device.launches import RepeatedLaunches
 from ....rays import NO_ANY_HIT, DeviceRayList, RayList, Rays
-from ...rays import allocate_progress
+from ...rays import RayNeeds, allocate_progress, allocate_rays
 from .blocks import QueueRule
 from .queues import BucketQueues, batch_capacity
 
@@ -129,8 +129,6 @@ def add_counts_kernel(counts: TraceCounts, batch: DeviceRayList, total: TraceCou
         total.queued[slot] = total.queued[slot] + counts.queued[position]
 
 
-# Bytes of a ray that are stored, without trail, entry and time: origin, direction, limit, instance, triangle, weights
-VALUE_BYTES = 12 + 12 + 4 + 4 + 4 + 8
 # Rays of a batch at most on CUDA: a batch's memory is twice as large as its rays
 CUDA_BATCH_BY_VALUE = 1 << 20
 
@@ -219,18 +217,6 @@ class InPlace:
         self._queues.put(self._taken, rule)
 
 
-def _allocate_values(count: int, home: Rays, moving: bool, device: wp.Device) -> Rays:
-    values = Rays()
-    with wp.ScopedDevice(device):
-        values.origin, values.direction = wp.zeros(count, dtype=wp.vec3), wp.zeros(count, dtype=wp.vec3)
-        values.t_max = values.hit_t = wp.zeros(count, dtype=float)
-        values.visibility = wp.zeros(count if home.visibility.size > 0 else 0, dtype=int)
-        values.time = wp.zeros(count if moving else 0, dtype=float)
-        values.hit_instance, values.hit_primitive = wp.zeros(count, dtype=int), wp.zeros(count, dtype=int)
-        values.hit_uv = wp.zeros(count, dtype=wp.vec2)
-    return values
-
-
 class ByValue:
     """Queues hold what a traversal needs of rays (DIRECT): they are copied to a batch's memory, and back."""
 
@@ -259,10 +245,11 @@ class ByValue:
         mixed = any_first < home.origin.size
         self._queues, self._home, self._home_counts, self._taken = queues, home, counts, None
         self._launches = RepeatedLaunches(device)
-        self._values = _allocate_values(entry_count, home, moving, device)
+        needs = RayNeeds(limits=False, visibility=home.visibility.size > 0, time=moving)
+        self._values = allocate_rays(entry_count, device, needs)
         self._stored = allocate_progress(entry_count, words, instancing, device)
         size = capacity * (2 if mixed else 1)
-        self.rays = _allocate_values(size, home, moving, device)
+        self.rays = allocate_rays(size, device, needs)
         self.progress = allocate_progress(size, words, instancing, device)
         self.any_first = capacity if mixed else NO_ANY_HIT
         self._positions = wp.zeros(capacity, dtype=int, device=device)  # of a batch's rays in `rays`
@@ -284,7 +271,8 @@ class ByValue:
     @staticmethod
     def bytes_per_slot(progress_bytes: int, instancing: bool, moving: bool, entry_share: float) -> float:
         """Progress and values in every entry of the pool."""
-        return (progress_bytes + VALUE_BYTES + 4 * instancing + 4 * moving) * entry_share
+        values = RayNeeds(limits=False, visibility=instancing, time=moving)
+        return (progress_bytes + values.bytes_per_path) * entry_share
 
     def begin(self, batch: RayList, rule: QueueRule) -> None:
         """Put the rays into queues, and their values into the pool."""

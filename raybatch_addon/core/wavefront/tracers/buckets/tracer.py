@@ -127,7 +127,7 @@ class BatchingTracer:
         `stages`: what tracing does. `rays_few`: with fewer in every bucket, rays go on unbatched. `parallel`: the way
         of CUDA devices, on the CPU too. `capacity`: rays of a batch at most. Where these are not given they are chosen.
         """
-        device, counts, debug = worker.device, worker.counts, settings.debug_checks == "ON"
+        device, counts, debug = worker.device, worker.counts, settings.is_on("debug_checks")
         self._timer, self._numbers = worker.timer, QueueNumbers(treelet_tree.treelet_count)
         self._rules = QueueRules(self._numbers)
         self._selection = selection_of(settings, device.is_cuda)
@@ -137,22 +137,35 @@ class BatchingTracer:
             size = pool_size(queue_total, settings.queue_size, settings.queue_count, slot_count)
             capacity = storage.batch_capacity(slot_count, size.queue_size, device.is_cuda)
         self._queues = BucketQueues(
-            queue_total, settings.queue_size, settings.queue_count, slot_count, device, debug, capacity, parallel
+            queue_total,
+            settings.queue_size,
+            settings.queue_count,
+            slot_count,
+            device,
+            debug=debug,
+            capacity=capacity,
+            parallel=parallel,
         )
         any_first = worker.path_count if worker.shadow_kind == RayKind.OCCLUSION else NO_ANY_HIT
         self._storage = storage(
-            self._queues, worker.rays, any_first, trail_words(treelet_tree.levels), instancing, moving, counts
+            self._queues,
+            worker.rays,
+            any_first,
+            trail_words(treelet_tree.levels),
+            instancing=instancing,
+            moving=moving,
+            counts=counts,
         )
         self._finished = FinishedLists(self._queues.capacity, worker.path_count, worker.shadow_kind, device)
         policy = DevicePolicy(
             self._selection,
-            settings.bucket_wait_max,
-            settings.seed,
-            treelet_tree.treelet_count,
-            few_rays(self._selection, device.is_cuda) if rays_few is None else rays_few,
-            self._queues.blocks,
-            parallel,
-            self._queues.capacity,
+            wait_max=settings.bucket_wait_max,
+            seed=settings.seed,
+            bucket_count=treelet_tree.treelet_count,
+            rays_few=few_rays(self._selection, device.is_cuda) if rays_few is None else rays_few,
+            blocks=self._queues.blocks,
+            parallel=parallel,
+            capacity=self._queues.capacity,
         )
         is_given = stages is not None  # and so are their kernels, which are loaded already
         if stages is None:

@@ -26,8 +26,8 @@ import numpy as np
 import warp as wp
 
 from ....bvh.node import Layout
-from ....bvh.pages.build import PagedScene
 from ....bvh.pages.encode import PAGE_KERNELS
+from ....bvh.pages.paged_scene import PagedScene
 from ....bvh.pages.residency import Residency, address_kernel
 from ....bvh.pages.transfer import pages_a_step
 from ....bvh.traverse.options import VisitOptions
@@ -106,7 +106,7 @@ class StreamingTracer:
         self._paged, self._residency, self._rays, self._device = paged, residency, worker.rays, device
         self._shadow_kind, self._timer, self._trace_counts = worker.shadow_kind, worker.timer, worker.counts
         self._any_first = path_count if worker.shadow_kind == RayKind.OCCLUSION else NO_ANY_HIT
-        self._debug = settings.debug_checks == "ON"
+        self._debug = settings.is_on("debug_checks")
         self._stage = stage or go_on_stage(paged.layout, worker.counts is not None, settings, curves, moving)
         self._progress = allocate_progress(slot_count, trail_words(paged.levels), True, device)
         self._waiting = WaitingRays(slot_count, path_count, residency.page_of, len(paged.pages), device, capacity)

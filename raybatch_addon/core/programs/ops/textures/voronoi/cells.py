@@ -193,4 +193,17 @@ def make_cells(dimensions: int) -> Cells:
                 result = wp.pow(result, 1.0 / exponent)
         return result
 
-    return Cells(dimensions, vector, integers, offset, point, color, floor, coordinates, position, dot, measure, rank)
+    return Cells(
+        dimensions=dimensions,
+        vector=vector,
+        integers=integers,
+        offset=offset,
+        point=point,
+        color=color,
+        floor=floor,
+        coordinates=coordinates,
+        position=position,
+        dot=dot,
+        measure=measure,
+        rank=rank,
+    )

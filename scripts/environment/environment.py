@@ -1,4 +1,4 @@
-"""Make the project's virtual environment: python scripts/environment.py FOLDER (called by environment.sh).
+"""Make the project's virtual environment: python scripts/environment/environment.py FOLDER (called by environment.sh).
 
 Run by the Python that the environment is for. A stamp in the folder holds what was installed; while it matches, nothing
 is done.
@@ -12,6 +12,7 @@ import tomllib
 import venv
 from pathlib import Path
 
+ROOT = Path(__file__).resolve().parents[2]
 GROUPS = ("scripts", "blender", "test")
 
 
@@ -27,7 +28,7 @@ def main() -> int:
         return 2
     folder = Path(sys.argv[1]).absolute()
     base = Path(getattr(sys, "_base_executable", sys.executable)).resolve()
-    wanted = requirements(Path(__file__).resolve().parents[1] / "pyproject.toml")
+    wanted = requirements(ROOT / "pyproject.toml")
     # An environment holds absolute paths, so one that was moved is made again.
     identity = json.dumps([wanted, "{}.{}".format(*sys.version_info), str(folder)])
     stamp = folder / "raybatch-environment"
@@ -61,8 +62,7 @@ def compile_kernels(python: Path) -> None:
         "RayBatch: compiling the kernels that any scene can begin with; this takes two or three minutes",
         file=sys.stderr,
     )
-    script = Path(__file__).resolve().parent / "render.py"
-    command = [str(python), str(script), "--prewarm", "--device", "cpu"]
+    command = [str(python), str(ROOT / "scripts/render.py"), "--prewarm", "--device", "cpu"]
     done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True)
     if done.returncode:  # renders compile what they need
         print(f"RayBatch: they could not be compiled: {done.stderr.strip()[-300:]}", file=sys.stderr)

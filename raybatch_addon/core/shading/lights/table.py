@@ -14,9 +14,9 @@ from ...scene.description import Light, LightKind, Scene, Visibility
 from ...scene.geometry import Geometry
 from .choice_table import ChoiceTable
 from .emitters import EmissiveTriangles, find_emissive_triangles, light_area, light_strengths, triangle_strengths
-from .light_tree import EmitterBoxes, EmittingTriangles, LightNode, bound_triangles_kernel
 from .link_table import upload_links
 from .tree.fill import fill_blocks, launch_parts
+from .tree.kernels import EmitterBoxes, EmittingTriangles, LightNode, bound_triangles_kernel
 from .tree.topology import Alike, runs_alike
 from .world import SampledWorld, WorldTable
 
@@ -173,7 +173,7 @@ def upload_lights(
     # the rays that see an instance; its other bits say whose light it blocks or catches
     visibility = scene.instances.visibility.astype(np.int32) & int(Visibility.ALL)
     table.instance_visibility = upload(visibility if has_triangles else np.zeros(0, np.int32), int)
-    choice = _choice_table(table, records, strength, triangles, scene, geometry, world, keep)
+    choice = _choice_table(table, records, strength, triangles, scene=scene, geometry=geometry, world=world, keep=keep)
     upload_links(scene, choice, triangles.instance, device)
     table.choice = upload_struct(choice, device)
     return UploadedLights(table, choice, tree, len(triangles))
@@ -193,6 +193,7 @@ def _choice_table(
     records: np.ndarray,
     strength: np.ndarray,
     triangles: EmissiveTriangles,
+    *,
     scene: Scene,
     geometry: Geometry | None,
     world: SampledWorld | None,

@@ -7,7 +7,7 @@ import warp as wp
 from ...programs.op import NodeData
 from ...scene.geometry import Geometry
 from ...shading.bsdf.materials import MaterialTable
-from ...shading.lights.light_table import LightTable
+from ...shading.lights.table import LightTable
 
 
 @wp.struct

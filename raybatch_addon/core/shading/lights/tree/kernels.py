@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import warp as wp
 
-from ...device.kernel import KERNEL_OPTIONS
-from ...scene.geometry import Geometry, triangle_vertices
-from .choice_table import BLOCK_WIDTH, FIELDS, ChoiceTable
-from .tree.topology import Joints
+from ....device.kernel import KERNEL_OPTIONS
+from ....scene.geometry import Geometry, triangle_vertices
+from ..choice_table import BLOCK_WIDTH, FIELDS, ChoiceTable
+from .topology import Joints
 
 # Where the numbers of a block of one kind begin
 _ROWS = {name: place * BLOCK_WIDTH for place, name in enumerate(FIELDS)}

@@ -9,7 +9,7 @@ from ....shading.sampling import tangent_of
 from ...op import NodeData, closure_op, number, op, put_vector, vector
 from ...point import ShadingPoint
 from ..inputs.curve_inputs import curve_tangent
-from .closure_ops import begins, usable_index, usable_weight
+from .plain import begins, usable_index, usable_weight
 
 # Widths of lobes, and roughnesses, are in this range
 _LEAST, _MOST = 0.001, 1.0

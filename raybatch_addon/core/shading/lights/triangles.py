@@ -6,8 +6,8 @@ import warp as wp
 
 from ...scene.geometry import Geometry, corners_of, triangle_vertices
 from ..sampling import sample_triangle
-from .light_shapes import GAMMA_8, LightSample
-from .light_table import LightTable
+from .shapes import GAMMA_8, LightSample
+from .table import LightTable
 
 # Triangles whose area is below this share of the square of the nearest corner's distance are sampled evenly: it makes
 # little difference, takes a fraction of the time, and angles lose digits. So they do where corners are nearly opposite

@@ -13,7 +13,7 @@ from ....shading.bsdf.materials import ASPECT_LEAST, FILM_IOR_LEAST, IOR_RANGE, 
 from ....shading.bsdf.thin_film import FILM_LEAST
 from ...op import NodeData, closure_op, number, vector
 from ...point import ShadingPoint
-from .closure_ops import begins, unit_color, unit_number, usable_index, usable_normal, usable_weight
+from .plain import begins, unit_color, unit_number, usable_index, usable_normal, usable_weight
 
 
 class Distribution(IntEnum):

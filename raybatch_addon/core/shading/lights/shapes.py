@@ -12,7 +12,7 @@ import warp as wp
 
 from ...float32 import roundoff
 from ..sampling import bitangent_of, cone_pdf, sample_cone, sample_disk, sample_sphere, tangent_of, to_world
-from .light_table import LightRecord
+from .table import LightRecord
 
 # Programs that give the radiance of a sampled light (`LightSample.program`)
 WORLD_PROGRAM = 1

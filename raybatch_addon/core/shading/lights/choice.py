@@ -22,7 +22,7 @@ from ...native.build import native_source
 from ...scene.description import LightKind
 from .choice_table import BLOCK_WIDTH, FIELDS
 from .emitters import COSINE_ERROR
-from .light_table import LightTable
+from .table import LightTable
 
 # What an emitter counts for at least where the surface, or the emitter, is turned away at the angle where nothing
 # arrives by Lambert's law: BSDFs and lamps may differ from it

@@ -2,7 +2,7 @@
 
 import ctypes
 
-from raybatch_addon.core.wavefront.scene.scene_data import SceneData
+from raybatch_addon.core.wavefront.scene.shading_data import SceneData
 
 # NVIDIA's compiler copies a larger parameter to each thread's local memory, 8 KB in each launch of a stage: that took
 # four times as long as the shading itself

@@ -10,7 +10,7 @@ from ....shading.bsdf.materials import ClosureRecord, new_closure
 from ....shading.bsdf.subsurface import dipole_albedo, fitted_albedo, lifted_albedo, medium_albedo
 from ...op import NodeData, closure_op, number, vector
 from ...point import ShadingPoint
-from .closure_ops import begins, is_black, unit_color, unit_number, usable_index, usable_normal, usable_weight
+from .plain import begins, is_black, unit_color, unit_number, usable_index, usable_normal, usable_weight
 
 
 class SubsurfaceMethod(IntEnum):

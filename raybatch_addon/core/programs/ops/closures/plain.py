@@ -1,4 +1,4 @@
-"""Ops that make closures.
+"""Ops that make closures without facets, and what all such ops share.
 
 Each gets its weight first: the product of its colour and of all factors above it in the graph.
 """

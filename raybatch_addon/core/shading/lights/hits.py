@@ -16,12 +16,12 @@ from ...scene.description import LightKind
 from ...scene.features import narrow
 from ...scene.program import ProgramFeatures
 from .area_shapes import ERROR_SHARE_MOST, meet_area_light
+from .choice import ChoiceFeatures, LitPoint, make_light_choice
 from .lamp_program import make_lamp_emission
-from .light_choice import ChoiceFeatures, LitPoint, make_light_choice
-from .light_shapes import LightSample, meet_disk, meet_sphere, meet_sun, spot_factor
-from .light_table import LightRecord, LightTable
 from .lights import light_weights
 from .links import make_counts, make_found_by_sampling
+from .shapes import LightSample, meet_disk, meet_sphere, meet_sun, spot_factor
+from .table import LightRecord, LightTable
 
 _POINT = wp.constant(int(LightKind.POINT))
 _SPOT = wp.constant(int(LightKind.SPOT))

@@ -1,0 +1,1 @@
+"""The environment that everything here runs in, made by `make environment`."""
