@@ -24,8 +24,8 @@ from .precompiled_header import share_precompiled_header
 from .ready import write_notes
 
 _warp_lock = threading.Lock()
-# Warp's native code prints lines that begin so where there is no CUDA driver, or a driver and no device that it may use,
-# whatever its log level is. That is no fault: `find_device` says which devices there are.
+# Warp's native code prints lines that begin so where there is no CUDA driver, or a driver without a device that it may
+# use, whatever its log level is. That is no fault: `find_device` says which devices there are.
 _NO_CUDA = (
     b"Warp CUDA warning: Could not find or load the NVIDIA CUDA driver",
     b"Warp CUDA error 100: no CUDA-capable device is detected",
