@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -42,7 +42,7 @@ class Tile:
     passes: dict[str, np.ndarray]  # linear float32, shape [height, width, channels], bottom row first
 
 
-class RenderObserver(Protocol):
+class RenderObserver:
     """Whoever watches a render. Observers derive from this class and define the methods that they need; all are called
     on the thread that called `Session.render`.
     """

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import bpy
 
@@ -15,7 +15,7 @@ from .sources import STRAND_KIND, CurvesSource, ParticleHair, PointsSource, Sour
 from .strands import curve_shape
 
 _Asked = list[tuple[str, str]]
-CurveData = bpy.types.Curves | bpy.types.PointCloud | bpy.types.ParticleSystemModifier
+CurveData: TypeAlias = bpy.types.Curves | bpy.types.PointCloud | bpy.types.ParticleSystemModifier
 
 
 class StrandMeshes:

@@ -366,6 +366,7 @@ class PlacementCollector:
         if key not in self._visibilities:
             seen = Visibility(0)
             for ray in Visibility:
+                assert ray.name is not None  # a single bit
                 if getattr(obj, f"visible_{ray.name.lower()}"):
                     seen |= ray
             if original.indirect_only_get(view_layer=self.view_layer):
