@@ -58,6 +58,7 @@ out/demo.environment: environment
 lint: environment
 	$(venv_python) -m ruff check $(sources)
 	$(venv_python) -m ruff format --check $(sources)
+	$(venv_python) -m mypy
 	$(if $(native_headers),$(VENV)/bin/clang-format --dry-run --Werror $(native_headers))
 
 format: environment

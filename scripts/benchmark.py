@@ -240,7 +240,7 @@ def measured(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from benchmarking.scenes import SceneRequest
     from benchmarking.tables import memory_text, recording_text, render_text, slopes_text, traversal_text, viewport_text
 
-    counts = options.samples if options.command == "render" else (getattr(options, "samples", None), 0)
+    counts: tuple[Any, int] = options.samples if options.command == "render" else (getattr(options, "samples", None), 0)
     for name in ("runs", "ray_count", "samples"):
         value = counts[0] if name == "samples" else getattr(options, name, None)
         if value is not None and value < 1:
@@ -299,7 +299,7 @@ def measured(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
         raise UsageError(
             "--set resolution has no use here: the frame has about as many pixels as there are rays (--ray-count)"
         )
-    request = TraversalRequest(
+    traced = TraversalRequest(
         scene=scene,
         device=options.device,
         tracers=[name.strip() for name in options.tracers.split(",") if name.strip()],
@@ -313,7 +313,7 @@ def measured(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
         budget=parse_setting("geometry_budget", options.budget),
         settings=changes,
     )
-    report = measure_traversal(request)
+    report = measure_traversal(traced)
     return report, traversal_text(report)
 
 

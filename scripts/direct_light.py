@@ -88,7 +88,7 @@ def pixel_light(
     matrix, (left, right, bottom, top) = np.asarray(camera.transform, np.float64), camera.window
     eye, albedo = (
         matrix[:, 3],
-        [float(np.mean([np.mean(c.weight) for c in m.closures] or [0.0])) for m in scene.materials],
+        [float(np.mean([float(np.mean(c.weight)) for c in m.closures] or [0.0])) for m in scene.materials],
     )
     world, slots = float(np.mean(scene.world.radiance)), flatten(scene).triangle_slot
     found = np.zeros((2, samples))
@@ -182,7 +182,9 @@ def argument_parser() -> argparse.ArgumentParser:
 
 def run(given: argparse.Namespace) -> int:
     """The exit code; raises `RayBatchError`."""
-    scene = resized(load_scene(given.scene)[0], *parse_settings([f"resolution={given.size}"])[1])
+    size = parse_settings([f"resolution={given.size}"])[1]
+    assert size is not None
+    scene = resized(load_scene(given.scene)[0], *size)
     triangles = Triangles.of(scene)
     for text in given.pixel:
         found = pixel_light(scene, triangles, parse_pixel(text, scene), given.samples)

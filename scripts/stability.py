@@ -137,8 +137,8 @@ def run(options: argparse.Namespace, folders: OutputFolders, standard_output: IO
         )
     if options.list:
         for each in cases:
-            tracers = ", ".join(each.tracers) if each.traces else "once"
-            standard_output.write(f"{each.family}  {each.name}  ({tracers}{', quick' if each.quick else ''})\n")
+            named = ", ".join(each.tracers) if each.traces else "once"
+            standard_output.write(f"{each.family}  {each.name}  ({named}{', quick' if each.quick else ''})\n")
         return 0
     for target in (options.json, options.html):
         if target and target != "-":
@@ -146,12 +146,12 @@ def run(options: argparse.Namespace, folders: OutputFolders, standard_output: IO
     start_warp(options.kernel_cache)
     build_once()
     device = device_description(find_device(options.device))
-    tracers = (options.tracer, "-") if options.tracer else ("off", "on", "-")
+    tracers: tuple[str, ...] = (options.tracer, "-") if options.tracer else ("off", "on", "-")
     steps = Steps(sum(tracer in tracers for each in cases for tracer in each.tracers))
     results: list[Result] = []
     start = time.perf_counter()
     try:
-        for event in run_cases(cases, device["alias"], tracers, options.kernel_cache, options.leak_rays):
+        for event in run_cases(cases, str(device["alias"]), tracers, options.kernel_cache, options.leak_rays):
             if isinstance(event, Result):
                 results.append(event)
                 steps.end()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import bpy
 
@@ -121,8 +121,8 @@ def _render_view(
     _report_warnings(engine, report, found)
     if bpy.app.background and not scene_listeners:
         missing.print_notices(found)
-    for listener in scene_listeners:
-        listener(layer_name, scene, settings)
+    for scene_listener in scene_listeners:
+        scene_listener(layer_name, scene, settings)
     missing.refuse_what_lacks(depsgraph.scene, found)
     if tuning.is_tuning():
         tried = tuning.run_tuning(scene, settings, engine.test_break, status.show)
@@ -178,7 +178,7 @@ def _render_view(
         if recorder:
             if film is not None:
                 state = records.FINISHED if film.complete else records.CANCELLED
-            recorder.end(state, film and film.statistics)
+            recorder.end(state, None if film is None else film.statistics)
     parts.enter("write")
     if wants_sample_share(depsgraph.view_layer):
         film.made[SAMPLE_SHARE] = film.sample_share
@@ -192,8 +192,8 @@ def _render_view(
     _report_warnings(engine, report, film.statistics["warnings"])
     if view.name:
         film.statistics["frame"] = {**film.statistics.get("frame", {}), "view": view.name}
-    for listener in film_listeners:
-        listener(layer_name, scene, film)
+    for film_listener in film_listeners:
+        film_listener(layer_name, scene, film)
 
 
 def wants_recording(scene: bpy.types.Scene, settings: RenderSettings, has_windows: bool) -> bool:
@@ -207,7 +207,7 @@ def wants_recording(scene: bpy.types.Scene, settings: RenderSettings, has_window
     return bool(own and own.record) or (has_windows and settings.half_count > 1)
 
 
-def _report_warnings(engine: bpy.types.RenderEngine, report: reports.RenderReport, warnings: list[str]) -> None:
+def _report_warnings(engine: bpy.types.RenderEngine, report: reports.RenderReport, warnings: Sequence[str]) -> None:
     new = [text for text in warnings if text not in report.warnings]
     report.warnings += new
     if new:

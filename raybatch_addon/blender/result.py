@@ -99,7 +99,7 @@ class ResultWriter:
         """The pass `name` as bright as it is shown; alpha stays."""
         if self._exposure == 1 or not (name in LIT_PASSES or name.startswith(LIGHT_GROUP)):
             return pixels
-        return pixels * np.float32([self._exposure] * 3 + [1])[: pixels.shape[-1]]
+        return pixels * np.array([self._exposure] * 3 + [1], np.float32)[: pixels.shape[-1]]
 
 
 def write_image(name: str, pixels: np.ndarray) -> bpy.types.Image:

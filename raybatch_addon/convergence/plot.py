@@ -65,8 +65,9 @@ def draw_plot(runs: Sequence[Run], target: float, width: int, height: int, text_
 
 
 def _times(runs: Sequence[Run], target: float) -> list[float]:
-    times = [p.seconds for run in runs for p in (*run.points, *run.rates)]
+    times = []
     for run in runs:
+        times += [p.seconds for p in run.points] + [p.seconds for p in run.rates]
         ahead = _extrapolated(run, target)
         if ahead:
             times.append(ahead)

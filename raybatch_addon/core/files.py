@@ -6,16 +6,15 @@ import contextlib
 import itertools
 import os
 import shutil
+import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-try:
+if sys.platform == "win32":
+    import msvcrt
+else:
     import fcntl
-except ImportError:  # on Windows
-    fcntl = None
-    with contextlib.suppress(ImportError):
-        import msvcrt
 
 OWNER = "owner"  # the file in a temporary folder that its process holds locked as long as it lives
 _numbers = itertools.count()
@@ -57,10 +56,10 @@ def _lock(handle: int, waits: bool) -> None:
     """Lock the open file `handle`; raises `OSError` where another holds it and this one does not wait (on Windows,
     after ten seconds), or where the file system has no locks.
     """
-    if fcntl is not None:
-        fcntl.flock(handle, fcntl.LOCK_EX if waits else fcntl.LOCK_EX | fcntl.LOCK_NB)
-    else:
+    if sys.platform == "win32":
         msvcrt.locking(handle, msvcrt.LK_LOCK if waits else msvcrt.LK_NBLCK, 1)
+    else:
+        fcntl.flock(handle, fcntl.LOCK_EX if waits else fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def owned_folder(prefix: str) -> tuple[Path, int] | None:
@@ -68,13 +67,13 @@ def owned_folder(prefix: str) -> tuple[Path, int] | None:
     holds until `give_up` or its end; None where the file system has no locks. Raises `OSError`.
     """
     # under another name until it is held, so that nobody takes it for one that was left
-    folder = Path(tempfile.mkdtemp(prefix=f"new-{prefix}" if fcntl is not None else prefix))
+    folder = Path(tempfile.mkdtemp(prefix=prefix if sys.platform == "win32" else f"new-{prefix}"))
     try:
         handle = lock_now(folder / OWNER)
         if handle is None:
             shutil.rmtree(folder, ignore_errors=True)
             return None
-        if fcntl is not None:
+        if sys.platform != "win32":
             folder = folder.rename(folder.with_name(folder.name.removeprefix("new-")))
     except OSError:
         shutil.rmtree(folder, ignore_errors=True)
@@ -84,10 +83,10 @@ def owned_folder(prefix: str) -> tuple[Path, int] | None:
 
 def give_up(folder: Path | str, handle: int) -> None:
     """Remove a folder that this process holds by `handle`."""
-    if fcntl is None:  # an open file cannot be removed
+    if sys.platform == "win32":  # an open file cannot be removed
         os.close(handle)
     shutil.rmtree(folder, ignore_errors=True)
-    if fcntl is not None:
+    if sys.platform != "win32":
         os.close(handle)
 
 

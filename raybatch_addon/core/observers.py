@@ -44,14 +44,17 @@ class Tile:
 
 class RenderObserver(Protocol):
     """Whoever watches a render. Observers derive from this class and define the methods that they need; all are called
-    on the thread that called `Session.render`.
+    on the thread that called `Session.render`. Each default returns in so many words: a checker of types takes an empty
+    method of a protocol for one that must be defined.
     """
 
     def on_tile(self, tile: Tile) -> None:
         """Receive a finished tile."""
+        return
 
     def on_progress(self, progress: Progress) -> None:
         """Receive how far the render has come, several times a second."""
+        return
 
     def snapshot_samples(self, sample_count: int) -> Sequence[int] | None:
         """Return the sample counts, of a render of `sample_count` samples, at which snapshots are wanted beside the one
@@ -61,6 +64,7 @@ class RenderObserver(Protocol):
 
     def on_snapshot(self, snapshot: Snapshot) -> None:
         """Receive the picture at one of the wanted sample counts, or at the end."""
+        return
 
 
 def call_all(own: Callable[[T], None] | None, others: Sequence[Callable[[T], None]]) -> Callable[[T], None]:

@@ -202,7 +202,7 @@ class Session:
         displaced = self._displaced(whole, settings, parts, on_progress, cancelled)
         parts.enter("check")
         was_cancelled = displaced is None
-        checked = prepared_scene(whole if was_cancelled else displaced, settings)
+        checked = prepared_scene(whole if displaced is None else displaced, settings)
         check_samples(settings, sample_first)
         size = GeometrySize.of(checked)
         free = self._cache.free_for_geometry(checked.images, self.device)
@@ -303,6 +303,7 @@ class Session:
 
     def _run(self, job: Job, integrators: list[TileIntegrator], state: ResumeState, film: Film) -> None:
         """Let the integrators render what is left of `state`; callbacks are called on this thread."""
+        seconds_left: float | None = None
 
         def on_tile(tile: FinishedTile, passes: dict[str, np.ndarray]) -> None:
             job.on_tile(Tile(tile.x, tile.y, tile.width, tile.height, passes))
@@ -325,7 +326,6 @@ class Session:
             )
             job.on_progress(progress)
 
-        seconds_left: float | None = None
         job.parts.enter("render")
         events = RenderEvents(
             on_tile=on_tile,
@@ -383,7 +383,7 @@ class Session:
                 "kernels": job.kernels,
                 **workers_summary(integrators, device_scene, job.hardware, job.path_bytes),
                 **batching_statistics(batching_totals(integrators), report_of({**job.plan.choices, **job.chosen})),
-                **rounds_summary(film, state, job.rendering and job.rendering.error_report()),
+                **rounds_summary(film, state, None if job.rendering is None else job.rendering.error_report()),
                 "triangles": sum(len(job.scene.meshes[i].triangles) for i in job.scene.instances.mesh),
                 "instances": len(job.scene.instances),
                 "lights": len(job.scene.lights),

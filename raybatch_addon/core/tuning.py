@@ -53,11 +53,16 @@ class Tuning:
     @property
     def best(self) -> Trial | None:
         """The fastest one, or the given settings where no other is faster by a margin; None before the first."""
-        timed = [trial for trial in self.trials if trial.seconds is not None and trial.same_bits is not False]
+        timed = [
+            (trial, trial.seconds)
+            for trial in self.trials
+            if trial.seconds is not None and trial.same_bits is not False
+        ]
         if not timed:
             return None
-        fastest = min(timed, key=lambda trial: trial.seconds)
-        return fastest if is_faster(fastest.seconds, timed[0].seconds) else timed[0]
+        fastest, seconds = min(timed, key=lambda each: each[1])
+        given, seconds_given = timed[0]
+        return fastest if is_faster(seconds, seconds_given) else given
 
 
 def is_faster(seconds: float, than: float) -> bool:
@@ -116,14 +121,16 @@ class _Tuner:
             if self._cancelled():
                 return self.tuning, film
             self._trial(changes)
-        if self._best_changes():  # it is looked at twice, as the machine may have had other work meanwhile
-            for trial in (self.tuning.trials[0], self.tuning.best):
+        best = self.tuning.best
+        if best is not None and best.changes:  # it is looked at twice, as the machine may have had other work meanwhile
+            for trial in (self.tuning.trials[0], best):
                 self._again(trial)
         self.tuning.ended = not self._cancelled()
         return self.tuning, film
 
     def _again(self, trial: Trial) -> None:
-        """Try the settings of `trial` once more; its time is the shorter one."""
+        """Try the settings of `trial`, which ended, once more; its time is the shorter one."""
+        assert trial.seconds is not None
         count = len(self.tuning.trials)
         self._trial(trial.changes)
         second = self.tuning.trials[-1].seconds if len(self.tuning.trials) > count else None
@@ -163,7 +170,9 @@ class _Tuner:
     def _trial(self, changes: dict[str, Any], raises: bool = False) -> Film | None:
         self._on_trial(self.tuning, ", ".join(_in_words(name, value) for name, value in changes.items()))
         best = self.tuning.best
-        limit = _GIVEN_UP * best.seconds * self.tuning.samples + _MOMENT if best else float("inf")
+        limit = float("inf")
+        if best is not None and best.seconds is not None:
+            limit = _GIVEN_UP * best.seconds * self.tuning.samples + _MOMENT
         clock = _Clock(limit)
         try:
             # another device renders with what it has: its kernels are not compiled to be tried
@@ -194,7 +203,8 @@ class _Clock:
     """Decides when a trial's time is over, counted from where it traces rays: not while kernels are compiled."""
 
     def __init__(self, limit: float):
-        self._limit, self._start = limit, None
+        self._limit = limit
+        self._start: float | None = None
 
     def look(self, progress: Progress) -> None:
         if self._start is None and progress.stage == "render":

@@ -9,7 +9,7 @@ import bpy
 from ..core.scene.notice import Notice, Weight
 
 
-def failed_drivers(depsgraph: bpy.types.Depsgraph) -> list[str]:
+def failed_drivers(depsgraph: bpy.types.Depsgraph) -> list[Notice]:
     """One line for each driver, of any datablock of the depsgraph or its nodes, whose expression or variables fail."""
     lines = []
     for datablock in depsgraph.ids:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from dataclasses import dataclass
+from typing import Any
 
 import bpy
 import numpy as np
@@ -139,7 +140,7 @@ def _shape(light: bpy.types.Light, scale: np.ndarray) -> tuple[float, dict | Non
     normalize = getattr(light, "normalize", True)
     if light.type in ("POINT", "SPOT"):
         radius = float(light.shadow_soft_size)
-        values = dict(kind=LightKind.POINT, radius=radius, soft_falloff=bool(light.use_soft_falloff))
+        values: dict[str, Any] = dict(kind=LightKind.POINT, radius=radius, soft_falloff=bool(light.use_soft_falloff))
         if light.type == "SPOT":
             width = (float(scale[0] / scale[2]), float(scale[1] / scale[2]))
             values.update(

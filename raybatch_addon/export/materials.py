@@ -74,6 +74,7 @@ class ExportedMaterials:
 
     def end_live(self) -> None:
         """The pass is over."""
+        assert self._kept.untouched is not None  # since `begin_live`
         self._kept.untouched.end(self.collections, self._kept.used)
 
     def holdout(self) -> int:
@@ -110,7 +111,7 @@ class ExportedMaterials:
             self._kept.keep(material, signature, *found)
         return found
 
-    def warnings(self) -> list[str]:
+    def warnings(self) -> list[Notice]:
         """One line for each material that is not rendered as it is: its name, its nodes, its objects."""
         lines = []
         for index, notes in self._notes.items():
@@ -149,8 +150,8 @@ def export_material(
     if output is None:
         return Material(material.name), []
     linked = {name for name in ("Surface", "Volume", "Displacement") if find_source(output.inputs[name])[0] is not None}
-    volume, notes = compile_volume(output.inputs["Volume"], material, collections)
-    notes = list(notes)
+    volume, volume_notes = compile_volume(output.inputs["Volume"], material, collections)
+    notes = list(volume_notes)
     if "Volume" in linked and "Surface" not in linked:  # a volume alone has no surface
         return Material(material.name, *BOUNDARY, volume=volume), notes
     moves = "Displacement" in linked and material.displacement_method != "BUMP"
@@ -182,5 +183,7 @@ def _default_material() -> Material:
 
 def _viewport_closures(material: bpy.types.Material) -> tuple[Closure, ...]:
     """Closures of a material without nodes."""
-    color = tuple(float(c) for c in material.diffuse_color[:3])
-    return layered_closures(Layers(Value.of(color), Value.of(material.metallic), Value.of(material.roughness)))
+    red, green, blue = (float(c) for c in material.diffuse_color[:3])
+    return layered_closures(
+        Layers(Value.of((red, green, blue)), Value.of(material.metallic), Value.of(material.roughness))
+    )

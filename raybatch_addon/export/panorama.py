@@ -58,15 +58,16 @@ def export_panorama(camera: bpy.types.Camera, span: np.ndarray) -> Panorama:
     radius = getattr(settings, "central_cylindrical_radius", 1.0)
     heights = [getattr(settings, f"central_cylindrical_range_v_{end}", value) for end, value in _ENDS]
     angles = [getattr(settings, f"central_cylindrical_range_u_{end}", value * np.pi) for end, value in _ENDS]
+    width, height = (float(each) for each in size * span / span[along])
     return Panorama(
         longitude=(settings.longitude_min, settings.longitude_max),
         latitude=(settings.latitude_min, settings.latitude_max),
         fov=settings.fisheye_fov,
         focal_length=settings.fisheye_lens,
-        sensor=tuple(float(each) for each in size * span / span[along]),
+        sensor=(width, height),
         polynomial=tuple(getattr(settings, f"fisheye_polynomial_k{power}") for power in range(5)),
-        cylinder_angles=tuple(angles),
-        cylinder_heights=tuple(height / radius for height in heights),
+        cylinder_angles=(angles[0], angles[1]),
+        cylinder_heights=(heights[0] / radius, heights[1] / radius),
     )
 
 

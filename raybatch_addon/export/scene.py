@@ -17,7 +17,7 @@ from .drivers import failed_drivers
 from .meshes.instances import Cancelled, collect_placements
 from .meshes.placements import Placements
 from .motion.shutter import Exposure, export_shutter, neighbours, open_time
-from .motion.steps import MotionSteps, camera_steps, with_frames
+from .motion.steps import CameraPlace, MotionSteps, camera_steps, with_frames
 from .nodes.collections import occlusion_distance
 from .passed_over.look import passed_over
 from .passes import LIGHT_PASS_PROPERTIES, MATTE_PROPERTIES, PASS_PROPERTIES, wanted_passes
@@ -85,7 +85,7 @@ def _exported(
     if exposure is not None:
         steps = MotionSteps(exposure, placements, camera_steps(scene, view))
 
-        def camera_now() -> tuple:
+        def camera_now() -> CameraPlace:
             now = export_camera(scene, depsgraph, frame.width, frame.height, [], view)
             return now.transform, now.window
 

@@ -40,8 +40,8 @@ def export_world(world: bpy.types.World | None, warnings: list[str], collections
         radiance = np.sum(lit, axis=0) if lit else np.zeros(3)
         volume, notes = compile_volume(output.inputs.get("Volume") if output else None, world, collections)
         warnings += [about(note, f"world “{world.name}”") for note in notes]
-    radiance = usable_emission(radiance, f"world “{world.name}”", warnings)
-    return World(radiance, _visibility(world), program, _sampling_size(world, collections), volume)
+    usable = usable_emission(radiance, f"world “{world.name}”", warnings)
+    return World(usable, _visibility(world), program, _sampling_size(world, collections), volume)
 
 
 def with_portals(world: World, portals: Sequence[Light]) -> World:
@@ -63,7 +63,7 @@ def _sampling_size(world: bpy.types.World, collections: Collections) -> int:
         return 0
     # the table alone aims at the sun of a sky, whatever table size the rest asks for
     least = min(collections.sun_width, _SUN_SIZE_MOST)
-    if method == "MANUAL":
+    if own is not None and method == "MANUAL":
         return min(max(int(own.sample_map_resolution), 4, least), _SAMPLING_SIZE_MOST)
     return min(max(_SAMPLING_SIZE, collections.environment_width, least), _SAMPLING_SIZE_MOST)
 

@@ -32,12 +32,12 @@ _TAKEN = {
     "EEVEE_WORLD_PT_mist",
 }
 
-_added: list[type] = []
+_added: list[type[bpy.types.Panel]] = []
 
 
 def _simplify_panels() -> list[type]:
     """Blender's panel Simplify and those in it as panels of this engine, which have their place among its others."""
-    made = []
+    made: list[type[bpy.types.Panel]] = []
     for name in ("", "_viewport", "_render", "_greasepencil"):
         builtin = getattr(bpy.types, f"{_SIMPLIFY}{name}", None)
         if builtin is None:
@@ -59,7 +59,7 @@ def _simplify_panels() -> list[type]:
 _own: list[type] = []
 
 
-def _applies(panel: type) -> bool:
+def _applies(panel: type[bpy.types.Panel]) -> bool:
     name = panel.__name__
     if name in _TAKEN:
         return True

@@ -25,11 +25,13 @@ class RAYBATCH_RENDER_PT_last_render(EnginePanel, bpy.types.Panel):
 
     def draw_header(self, _context):
         report = reports.last()
+        assert report is not None  # as `poll` found
         if report.errors or report.warnings:
             self.layout.label(text="", icon="ERROR" if report.errors else "INFO")
 
     def draw(self, context):
         report = reports.last()
+        assert report is not None  # as `poll` found
         draw_lines(self.layout, context, [f"{report.scene}, frame {report.frame}", *report_lines(report)])
         for icon, texts in (("ERROR", report.errors), ("INFO", report.warnings)):
             for text in texts:

@@ -55,7 +55,7 @@ def _estimate(context, settings: RenderSettings, statistics: dict[str, Any] | No
     workers = 1 if is_cuda else settings.thread_count or schedule.get("workers") or os.cpu_count() or 1
     path_count = settings.ray_count or schedule.get("ray_count") or workers * paths_a_worker(settings, workers, is_cuda)
     path_bytes = schedule.get("bytes_per_path") or bytes_per_path(_features(context))
-    tree = statistics.get("tree") if schedule else None
+    tree = statistics.get("tree") if statistics and schedule else None
     size = geometry_size(context.scene, tree["triangles"] if tree else None)
     return estimate_memory(
         size,

@@ -49,13 +49,14 @@ def _property(info: SettingInfo):
         return bpy.props.StringProperty(**about)
     if info.unit in _SUBTYPES:
         about["subtype"] = _SUBTYPES[info.unit]
+    minimum, maximum = info.range
     if info.kind is int:
-        return bpy.props.IntProperty(min=int(info.minimum), max=int(info.maximum), **about)
+        return bpy.props.IntProperty(min=int(minimum), max=int(maximum), **about)
     if info.unit == "s":
-        return bpy.props.FloatProperty(min=info.minimum, max=info.maximum, unit="TIME_ABSOLUTE", step=100, **about)
+        return bpy.props.FloatProperty(min=minimum, max=maximum, unit="TIME_ABSOLUTE", step=100, **about)
     # the first digit of a relative error that is not 0 is often the third
     precision = {"relMSE": 6, "relative": 4}.get(info.unit, 3)
-    return bpy.props.FloatProperty(min=info.minimum, max=info.maximum, precision=precision, **about)
+    return bpy.props.FloatProperty(min=minimum, max=maximum, precision=precision, **about)
 
 
 def _description(info: SettingInfo) -> str:
@@ -112,6 +113,7 @@ def _first_value(info: SettingInfo, scene: bpy.types.Scene) -> int | float:
 
 def _megabytes(info: SettingInfo):
     """Blender's property for a number of bytes, shown in megabytes: a view of the one that keeps it."""
+    minimum, maximum = info.range
 
     def get(properties) -> float:
         try:
@@ -122,13 +124,13 @@ def _megabytes(info: SettingInfo):
     def put(properties, value: float) -> None:
         # Blender's floats are float32: the shortest decimal that means the same is what was typed
         number = round(Fraction(str(np.float32(value))) * 10**6)
-        assign_setting(properties, info.name, min(max(number, int(info.minimum)), int(info.maximum)))
+        assign_setting(properties, info.name, min(max(number, int(minimum)), int(maximum)))
 
     return bpy.props.FloatProperty(
         name=info.label,
         description=f"{info.description} [MB, of 1,000,000 bytes]",
-        min=info.minimum / 1e6,
-        max=info.maximum / 1e6,
+        min=minimum / 1e6,
+        max=maximum / 1e6,
         precision=3,
         step=100,
         options=set(),

@@ -21,7 +21,10 @@ from .properties import megabytes_name, switch_name
 _IN_HEADER = {"DENOISING": "denoise"}
 _SCHEDULE = "BATCHING"
 # The menus of presets in headers
-_PRESETS = {"SAMPLING": RAYBATCH_PT_render_presets, _SCHEDULE: RAYBATCH_PT_batching_presets}
+_PRESETS: dict[str, type[bpy.types.Panel]] = {
+    "SAMPLING": RAYBATCH_PT_render_presets,
+    _SCHEDULE: RAYBATCH_PT_batching_presets,
+}
 _LATER = ("PERFORMANCE", "BATCHING")
 
 

@@ -51,8 +51,8 @@ def cycles_snapshots(peer: CyclesPeer, seed: int, sample_count: int, seconds: fl
     taken: list[tuple[int, float, np.ndarray]] = []
     for samples in [1] if seconds else geometric_samples(sample_count, GROWTH):
         taken.append((samples, *peer.timed_picture(seed, samples)))
-    while seconds and (samples := samples_next([(n, s) for n, s, _ in taken], sample_count, seconds)):
-        taken.append((samples, *peer.timed_picture(seed, samples)))
+    while seconds and (more := samples_next([(n, s) for n, s, _ in taken], sample_count, seconds)):
+        taken.append((more, *peer.timed_picture(seed, more)))
     begun = setup_seconds([(n, s) for n, s, _ in taken])
     return [
         Snapshot(

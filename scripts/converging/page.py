@@ -114,24 +114,24 @@ def _pictures(summary: Summary) -> str:
         if used.reference is not None:
             figures.append(_figure(_display(used.reference.picture), f"Reference: {used.reference.name}"))
     shown = [
-        (outcome.variant.label, run)
+        (outcome.variant.label, run, run.picture)
         for outcome in summary.outcomes
         for run in outcome.runs
         if run.picture is not None and run.points
     ]
-    for label, run in shown:
+    for label, _run, picture in shown:
         reference = study.references[label].reference
         if reference is not None:
-            errors[label] = _relative_error(run.picture, reference.picture)
+            errors[label] = _relative_error(picture, reference.picture)
     largest = (
         float(np.percentile(np.concatenate([error.ravel() for error in errors.values()]), SCALE_PERCENTILE))
         if errors
         else 0.0
     )
-    for label, run in shown:
+    for label, run, picture in shown:
         last = run.points[-1]
         about = f"{label}, seed {run.seed}: {last.samples:,.0f} samples, {last.seconds:.3g} s, relMSE {last.relmse:.3g}"
-        figures.append(_figure(_display(run.picture), about))
+        figures.append(_figure(_display(picture), about))
         if label in errors:
             figures.append(_figure(_heat(errors[label], largest), f"{label}: difference from the reference"))
     steps = ", ".join(f"rgb({r},{g},{b})" for r, g, b in HEAT_COLORS)

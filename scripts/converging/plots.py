@@ -210,7 +210,10 @@ def medians(runs: list[Run], panel: Panel) -> tuple[list[float], list[float], li
                     max(values),
                 )
             )
-    return tuple(map(list, zip(*rows))) if rows else ([], [], [], [])
+    if not rows:
+        return [], [], [], []
+    at, low, middle, high = map(list, zip(*rows))
+    return at, low, middle, high
 
 
 def _draw_guide(axes, summary: Summary, ink: str) -> None:

@@ -62,7 +62,8 @@ class UsedReference:
         """RMSE and relMSE of its own noise; None where it is not known."""
         if self.reference is None:
             return None, None
-        return tuple(None if np.isnan(value) else value for value in noise_floor(self.reference))
+        of_rmse, of_relmse = (None if np.isnan(value) else value for value in noise_floor(self.reference))
+        return of_rmse, of_relmse
 
 
 class LastHalves(RenderObserver):
@@ -112,7 +113,7 @@ class References:
             self._require_reachable(self._found[key])
         return self._found[key]
 
-    def apart(self) -> dict[str, float] | None:
+    def apart(self) -> dict[str, float | None] | None:
         """How far the limits of two engines are apart, with the noise that either reference adds; None where there is
         one.
         """
@@ -120,13 +121,15 @@ class References:
         if len(by_kind) < 2 or len(self.used) > 2:
             return None
         ours, theirs = by_kind["raybatch"], by_kind["cycles"]
+        assert ours.reference is not None and theirs.reference is not None
         a, b = ours.reference.picture, theirs.reference.picture
+        our_noise, their_noise = noise_floor(ours.reference), noise_floor(theirs.reference)
         return {
             "rmse": rmse(b, a),
             "relmse": relmse(b, a),
             "mean_ratio": float(a.mean() / b.mean()) if b.mean() else None,
-            "noise_rmse": float(np.hypot(ours.floor[0], theirs.floor[0])),
-            "noise_relmse": ours.floor[1] + theirs.floor[1],
+            "noise_rmse": float(np.hypot(our_noise[0], their_noise[0])),
+            "noise_relmse": our_noise[1] + their_noise[1],
         }
 
     def require_one(self, variants: Iterable[Variant]) -> None:
@@ -152,6 +155,7 @@ class References:
         x0, y0, x1, y1 = self._opened.scene.frame.region
         size = (x1 - x0, y1 - y0)
         if engine == "file":
+            assert request.reference is not None  # it names a file
             path = Path(request.reference)
             reference = load_reference(path, size, self._hash, settings)  # raises where it is not for these settings
             same = next((other for other in self.used if other.reference is not None), None)
@@ -169,14 +173,14 @@ class References:
         self._on_make(f"reference by {engine}, {settings.sample_count:,} samples")
         start = time.perf_counter()
         reference = self._from_cycles(settings, size) if engine == CYCLES else self._from_raybatch(settings)
-        seconds = time.perf_counter() - start
+        seconds, kept = time.perf_counter() - start, True
         facts = {"versions": versions(), "scene": self._opened.name, "seconds": round(seconds, 3)}
         try:
             save_reference(path, reference, self._hash, settings, facts)
         except RayBatchError as error:
             print(f"convergence.py: warning: {error}", file=sys.stderr)
-            path = None
-        return UsedReference(engine.lower(), reference, settings, path, False, seconds)
+            kept = False
+        return UsedReference(engine.lower(), reference, settings, path if kept else None, False, seconds)
 
     def _cached(self, path: Path, size: tuple[int, int], settings: RenderSettings, samples: int) -> Reference | None:
         if not path.is_file():
@@ -205,16 +209,18 @@ class References:
         """Two halves with scrambles of their own: their difference shows the reference's noise."""
         halves = LastHalves()
         self._session.render(self._opened.scene, settings, observers=[halves])
-        return Reference.of_halves(*halves.snapshot.halves, "RayBatch with another seed", settings.sample_count)
+        assert halves.snapshot is not None and halves.snapshot.halves is not None  # of a render with an error estimate
+        first, second = halves.snapshot.halves
+        return Reference.of_halves(first, second, "RayBatch with another seed", settings.sample_count)
 
     def _from_cycles(self, settings: RenderSettings, size: tuple[int, int]) -> Reference:
         from converging.cycles import open_peer, require_size
 
         half = settings.replace(sample_count=settings.sample_count // 2)
         peer = open_peer(self._opened, self._session.device, half)
-        pictures = [peer.picture(seed) for seed in CYCLES_SEEDS]
-        require_size(pictures[0], size)
-        return Reference.of_halves(*pictures, "Cycles", settings.sample_count)
+        first, second = (peer.picture(seed) for seed in CYCLES_SEEDS)
+        require_size(first, size)
+        return Reference.of_halves(first, second, "Cycles", settings.sample_count)
 
     def _require_reachable(self, used: UsedReference) -> None:
         floor, target = used.floor[1], self._request.target
@@ -267,6 +273,7 @@ def core_digest() -> str:
 
 def write_reference(path: Path, opened: OpenedScene, used: UsedReference) -> None:
     """Write a reference that was made for other runs, whole or not at all; raises `RayBatchError`."""
+    assert used.reference is not None  # it was made
     save_reference(path, used.reference, scene_hash(opened.scene), used.settings)
 
 

@@ -100,7 +100,7 @@ class ConvergenceRequest:
                     raise UsageError(f"{option} needs a .blend, not {self.scene.path.name}")
 
     def _check_reference(self) -> None:
-        if self.reference_from == "file" and not Path(self.reference).is_file():
+        if self.reference and self.reference_from == "file" and not Path(self.reference).is_file():
             raise UsageError(
                 f"there is no file {self.reference}; --reference is a file, or one of {', '.join(REFERENCES)}"
             )

@@ -66,7 +66,7 @@ class Study:
     references: dict[str, UsedReference] = field(default_factory=dict)  # by the variant's label
     used: list[UsedReference] = field(default_factory=list)  # each once
     _: KW_ONLY
-    apart: dict[str, float] | None = None  # limits of two engines
+    apart: dict[str, float | None] | None = None  # limits of two engines
     cycles_device: str | None = None  # as Cycles calls it, where it competes
     first_seconds: dict[str, float] = field(
         default_factory=dict
@@ -192,6 +192,7 @@ class _Runner:
         return Run(variant, seed, points, picture)
 
     def _flip_or_nan(self, picture: np.ndarray, reference: np.ndarray) -> float:
+        assert self._flip is not None
         value = self._flip(picture, reference)
         return float("nan") if value is None else value
 

@@ -177,7 +177,7 @@ def _notes(study: Study, outcomes: list[VariantOutcome]) -> list[str]:
     for used in study.used:
         if used.kind == "halves":
             notes.append("errors are estimated from two halves of each render: a bias is not in them")
-        elif used.floor[0] is None:
+        elif used.reference is not None and used.floor[0] is None:
             notes.append(
                 f"how far {used.reference.name} is off itself is not known: a curve that flattens may have come to its "
                 "noise"

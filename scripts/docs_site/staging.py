@@ -60,7 +60,8 @@ _CODE = re.compile(r"^(?:```|~~~).*?^(?:```|~~~)[ \t]*$", re.MULTILINE | re.DOTA
 
 def pages_of(parts: dict[str, tuple[str, ...]], there: set[str]) -> dict[str, list[str]]:
     """The pages of each part, of those that are `there`; raises `ValueError` where one is missing or in no part."""
-    left, found = set(there), {}
+    left = set(there)
+    found: dict[str, list[str]] = {}
     named = {page for patterns in parts.values() for page in patterns}
     for part, patterns in parts.items():
         found[part] = []

@@ -57,7 +57,8 @@ def parse_view(text: str) -> View:
         numbers = []
     if len(numbers) != 7 or not all(map(math.isfinite, numbers)):
         raise SceneError(f"camera {text!r} is not seven numbers ex,ey,ez,tx,ty,tz,fov_degrees")
-    eye, target, fov = tuple(numbers[:3]), tuple(numbers[3:6]), numbers[6]
+    eye, target = (numbers[0], numbers[1], numbers[2]), (numbers[3], numbers[4], numbers[5])
+    fov = numbers[6]
     if not 0 < fov < 180:
         raise SceneError(f"the camera's field of view is {fov:g} degrees; it must be more than 0 and less than 180")
     if eye == target:
@@ -163,8 +164,9 @@ def _material(number: int | None) -> Material:
     else:
         # hues a golden ratio apart are never close for ids that are
         hue = 2 * math.pi * ((number / GOLDEN_RATIO) % 1)
-        color = tuple(0.55 + 0.2 * math.cos(hue - shift) for shift in (0.0, 2 * math.pi / 3, 4 * math.pi / 3))
-        name = f"Material {number}"
+        thirds = (0.0, 2 * math.pi / 3, 4 * math.pi / 3)
+        red, green, blue = (0.55 + 0.2 * math.cos(hue - shift) for shift in thirds)
+        color, name = (red, green, blue), f"Material {number}"
     return Material(name, (Closure(ClosureKind.DIFFUSE, color),), (ClosureKind.DIFFUSE,))
 
 

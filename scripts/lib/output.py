@@ -93,7 +93,7 @@ class OutputFolders:
                 return
 
 
-def write_whole(path: Path, write: Callable[[Path], None]) -> None:
+def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     """Let `write(temporary path)` make a file, and put it at `path` when it is complete; raises `OutputError`."""
     try:
         with whole_file(path) as temporary:
@@ -129,7 +129,7 @@ def write_film(path: Path, films: list[tuple[str, Film]]) -> None:
     """Write the passes of the films of one frame, by view layer; those of the second on are called `layer/pass`, or
     `layer/view/pass` where there are several views.
     """
-    arrays = {}
+    arrays: dict[str, Any] = {}
     for number, (layer, film) in enumerate(films):
         for name, values in film.shown.items():
             arrays[name if number == 0 else f"{layer}/{name}"] = values

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import warp as wp
 
@@ -57,7 +58,7 @@ def compile_source(
     file: Path,
     block_size: int = 1,
     optimization_level: int = 2,
-    flags: str = MODULE_OPTIONS["cpu_compiler_flags"],
+    flags: str | None = MODULE_OPTIONS["cpu_compiler_flags"],
 ) -> None:
     """Compile code for `target` into `file`, as Warp does but for its choice of the target.
 
@@ -69,6 +70,7 @@ def compile_source(
         path.write_text(source, encoding="utf-8")
         common = {"fuse_fp": MODULE_OPTIONS["fuse_fp"], "use_precompiled_headers": False}
         if not architecture:
+            assert flags is not None, "code for a CPU has flags"
             level = {"extra_flags": flags_of(target, flags), "optimization_level": optimization_level}
             build.build_cpu(str(half), str(path), block_dim=block_size, **common, **level)
             return
@@ -81,7 +83,8 @@ def compile_source(
 def kernels_for(target: str) -> list[wp.Kernel]:
     """What any scene can begin with on a device of `target`, which need not be there."""
     is_cuda = target in ARCHITECTURES
-    return GeneralRequest().kernels(SimpleNamespace(is_cuda=is_cuda, is_cpu=not is_cuda))
+    stand_in: Any = SimpleNamespace(is_cuda=is_cuda, is_cpu=not is_cuda)  # nothing else of a device is asked for
+    return GeneralRequest().kernels(stand_in)
 
 
 def make_kernels(
@@ -100,7 +103,8 @@ def make_kernels(
         on_progress: is called with what is compiled.
     """
     start_warp()
-    targets, entries, tasks = list(targets), {}, []
+    targets, tasks = list(targets), []
+    entries: dict[str, Any] = {}
     for target in targets:
         (out / target).mkdir(parents=True)
         found = {kernel.module.name: kernel for kernel in kernels or kernels_for(target)}
@@ -121,6 +125,7 @@ def make_kernels(
             with whole_file(known_meta) as half:
                 half.write_bytes(meta)
             flags = module.options["cpu_compiler_flags"]
+            assert flags is None or isinstance(flags, str)
             compile_source(source, target, known, block_size, flags=flags)
         meta_name = f"{identifier}.meta"
         shutil.copy(known_meta, out / target / meta_name)

@@ -87,10 +87,12 @@ def write_sheet(cells: Cells, file: Path) -> None:
 def read_sheet(file: Path) -> Cells:
     """The thumbnails of a sheet that `write_sheet` wrote; none where there is no file."""
     from PIL import Image
+    from PIL.PngImagePlugin import PngImageFile
 
     if not file.exists():
         return {}
     with Image.open(file) as sheet:
+        assert isinstance(sheet, PngImageFile)
         sheet.load()
         pixels, about = np.asarray(sheet.convert("RGB")), json.loads(sheet.text[_KEY])
     cells = {}
@@ -107,7 +109,7 @@ def write_sheets(results: list, folder: Path) -> dict[str, int]:
     """
     folder.mkdir(parents=True, exist_ok=True)
     numbers: dict[str, int] = {}
-    files = {}
+    files: dict[Path, list] = {}
     for result in results:
         files.setdefault(folder / f"{slug(result.feature.family)}.png", []).append(result)
     for file, some in files.items():

@@ -12,6 +12,7 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -87,7 +88,7 @@ def _run_process(script: Path, names: list[str], file: Path) -> str:
 
 def write_results(results: list, file: Path) -> None:
     """`results` as an .npz."""
-    arrays: dict[str, np.ndarray] = {}
+    arrays: dict[str, Any] = {}
     for i, result in enumerate(results):
         arrays[f"{i} name"] = np.array([result.feature.name, result.status, result.note])
         arrays[f"{i} keys"] = np.array(list(result.figures), dtype=str)

@@ -145,7 +145,7 @@ class _Reporter:
     def write(self) -> dict[str, Any]:
         """Write the JSON and the page; returns the report."""
         known = self._known()
-        report = {
+        report: dict[str, Any] = {
             "request": self._request,
             "versions": _versions(known),
             "note": self._note,

@@ -15,7 +15,7 @@ from tables.marked_text import list_item, wrapped
 
 from real_files.judging import NAMES
 from real_files.listing import may_be_shown, read_listing
-from real_files.pictures import GAIN, side_by_side, write_png
+from real_files.pictures import GAIN, where_both_are, write_png
 from real_files.records import Record
 from real_files.rows import DIFFERS, summary_of
 from real_files.tables import (
@@ -143,11 +143,12 @@ def write_manual(root: Path, report: dict[str, Any], records: list[Record], slug
         if row["name"] not in about:
             continue  # somebody's own file: not for the manual
         row = dict(row)
-        pairs = [by_name[row["name"]].pair(engine) for engine in ("CYCLES", "RAYBATCH")]
-        if may_be_shown(about[row["name"]]) and all(pairs) and pairs[0].mean.shape == pairs[1].mean.shape:
+        record = by_name[row["name"]]
+        picture = where_both_are(record.pair("CYCLES"), record.pair("RAYBATCH"))
+        if picture is not None and may_be_shown(about[row["name"]]):
             row["picture"] = f"{slugs[row['name']]}.png"
             pictures.add(row["picture"])
-            write_png(folder / row["picture"], side_by_side(*pairs))
+            write_png(folder / row["picture"], picture)
         rows.append(row)
     for path in folder.glob("*.png"):
         if path.name not in pictures:

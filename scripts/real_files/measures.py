@@ -48,7 +48,8 @@ class Pair:
     @classmethod
     def sum(cls, pairs: list[Pair]) -> Pair:
         """The sums of first and of second pictures."""
-        return cls(sum(pair.first for pair in pairs), sum(pair.second for pair in pairs))
+        none = np.zeros(())
+        return cls(sum((pair.first for pair in pairs), none), sum((pair.second for pair in pairs), none))
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import base64
 import html
 from typing import Any
 
-from real_files.pictures import GAIN, png, side_by_side
+from real_files.pictures import GAIN, png, where_both_are
 from real_files.records import Record
 from real_files.rows import DIFFERS, FAILED
 from real_files.tables import (
@@ -69,9 +69,9 @@ def _table(heads: tuple[str, ...], rows: list[list[str]]) -> str:
 
 def _section(row: dict[str, Any], record: Record | None) -> str:
     lines = [f"<h2>{_text(row['name'])}: {_text(row['verdict'])}</h2>"]
-    pairs = [record.pair(engine) for engine in ("CYCLES", "RAYBATCH")] if record else [None]
-    if all(pairs) and pairs[0].mean.shape == pairs[1].mean.shape:
-        encoded = base64.b64encode(png(side_by_side(*pairs))).decode()
+    picture = where_both_are(record.pair("CYCLES"), record.pair("RAYBATCH")) if record else None
+    if picture is not None:
+        encoded = base64.b64encode(png(picture)).decode()
         lines.append(f'<img alt="{_text(row["name"])}" src="data:image/png;base64,{encoded}">')
     reported = "".join(
         f"<li{' class=bad' if kind == 'error' else ''}>{_text(kind)}: {_text(text)}</li>" for kind, text in remarks(row)

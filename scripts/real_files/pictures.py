@@ -17,6 +17,13 @@ DARKEST = 1e-4  # brightness that is shown as white at the least
 GAP = 4  # pixels between pictures
 
 
+def where_both_are(theirs: Pair | None, ours: Pair | None) -> np.ndarray | None:
+    """`side_by_side`; None where a picture is not there, or they differ in size."""
+    if theirs is None or ours is None or theirs.mean.shape != ours.mean.shape:
+        return None
+    return side_by_side(theirs, ours)
+
+
 def side_by_side(theirs: Pair, ours: Pair) -> np.ndarray:
     """Cycles, RayBatch and their absolute difference, uint8 [height, width, 3], top row first."""
     bright = max(DARKEST, float(np.percentile(theirs.mean, BRIGHT_PERCENTILE)))

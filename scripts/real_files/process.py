@@ -124,7 +124,7 @@ def _outcome(code: int, in_time: bool, folder: Path, said: Path, request: dict, 
         for each in state.get("steps", [])
         if (folder / f"{each['name']}.npy").exists()
     }
-    made = {"state": state, "pictures": pictures}
+    made: dict[str, Any] = {"state": state, "pictures": pictures}
     name = NAMES.get(request["engine"], request["engine"])
     if not in_time:
         text = (

@@ -59,24 +59,28 @@ class Record:
 
     def pair(self, engine: str, names: tuple[str, str] = ("all-1", "all-2")) -> Pair | None:
         """Two pictures of `engine`, in colours; None if one is not there."""
-        found = [self.pictures.get(f"{engine}/{name}") for name in names]
-        if any(each is None for each in found):
-            return None
-        return Pair(*(np.nan_to_num(each[..., :3].astype(np.float64), posinf=0.0, neginf=0.0) for each in found))
+        first, second = (self.pictures.get(f"{engine}/{name}") for name in names)
+        return None if first is None or second is None else Pair(_in_colors(first), _in_colors(second))
 
     def sources(self, engine: str) -> dict[str, Pair]:
         """Pictures of each source alone; none if they were not made."""
         names = self.tasks.get(f"{engine}/{SOURCES}", {}).get("sources", [])
-        pairs = {
-            name: self.pair(engine, tuple(f"source-{number}-{seed}" for seed in SEEDS))
-            for number, name in enumerate(names)
-        }
-        return pairs if all(pairs.values()) else {}
+        pairs = {}
+        for number, name in enumerate(names):
+            pair = self.pair(engine, (f"source-{number}-{SEEDS[0]}", f"source-{number}-{SEEDS[1]}"))
+            if pair is None:
+                return {}
+            pairs[name] = pair
+        return pairs
 
     def seconds(self, engine: str) -> dict[str, float]:
         """Seconds by step."""
         steps = self.tasks.get(f"{engine}/{PICTURES}", {}).get("steps", [])
         return {each["name"]: each["seconds"] for each in steps}
+
+
+def _in_colors(pixels: np.ndarray) -> np.ndarray:
+    return np.nan_to_num(pixels[..., :3].astype(np.float64), posinf=0.0, neginf=0.0)
 
 
 class Records:
@@ -110,9 +114,11 @@ class Records:
         """Put `record` in its place."""
         path = self.folder / f"{file.slug}.json"
 
+        pictures: dict[str, Any] = dict(record.pictures)
+
         def write_pictures(temporary: Path) -> None:
             with open(temporary, "wb") as opened:
-                np.savez_compressed(opened, **record.pictures)
+                np.savez_compressed(opened, **pictures)
 
         write_whole(path.with_suffix(".npz"), write_pictures)
         kept = {name: value for name, value in vars(record).items() if name != "pictures"}

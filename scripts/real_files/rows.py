@@ -120,9 +120,10 @@ def _note_errors(row: dict[str, Any], record: Record, shown: np.ndarray) -> None
     """
     found: dict[str, list[float]] = {VARIANCE: [], EQUAL: []}
     noises: dict[str, list[float]] = {engine: [] for engine in ENGINES}
-    for names in (tuple(f"all-{seed}" for seed in pair) for pair in seed_pairs(record.request.get("repeats", 1))):
-        pairs = {engine: record.pair(engine, names) for engine in ENGINES}
-        if not all(pairs.values()):
+    for first, second in seed_pairs(record.request.get("repeats", 1)):
+        names = (f"all-{first}", f"all-{second}")
+        pairs = {engine: pair for engine in ENGINES if (pair := record.pair(engine, names)) is not None}
+        if len(pairs) < len(ENGINES):
             continue
         noise = {engine: noise_of(pair, shown) for engine, pair in pairs.items()}
         for engine in ENGINES:
@@ -164,7 +165,7 @@ def summary_of(rows: list[dict[str, Any]]) -> dict[str, Any]:
         spread = Spread.of({row["name"]: row["ratios"][name] for row in rows if row["ratios"].get(name)})
         if spread:
             spreads[title] = spread.data()
-    medians = {}
+    medians: dict[str, dict[str, Any]] = {}
     for engine in ENGINES:
         for name, title in TIMES.items():
             spread = Spread.of(

@@ -6,6 +6,7 @@ engine whose pictures do not add up is wrong.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -36,7 +37,7 @@ class Source:
 def sources_of(scene: bpy.types.Scene) -> list[Source]:
     """All sources of `scene`."""
     # a full name says which library a lamp is of: several may have lamps of one name
-    found = [Source(f"lamp “{lamp.name_full}”", lambda lamp=lamp: _hide(lamp)) for lamp in _lamps(scene)]
+    found = [Source(f"lamp “{lamp.name_full}”", functools.partial(_hide, lamp)) for lamp in _lamps(scene)]
     if scene.world is not None:
         found.append(Source(WORLD, lambda: _darken_world(scene.world)))
     if any(_emitting_sockets(tree) or _colors_as_shaders(tree) for tree in _material_trees()):

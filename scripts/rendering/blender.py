@@ -100,7 +100,7 @@ class BlenderRender:
                 )
             with self._stops:
                 if request.out and scene.render.is_movie_format and not _picture_format(request.out):
-                    self._render_movie(scene, frames)
+                    self._render_movie(scene, Path(_absolute(request.out)), frames)
                 else:
                     self._render_stills(scene, frames)
         except KeyboardInterrupt:
@@ -172,10 +172,9 @@ class BlenderRender:
             for name, path in pictures:
                 write_heat_map(path, self._films[0][1], name)
 
-    def _render_movie(self, scene: bpy.types.Scene, frames: tuple[int, ...]) -> None:
+    def _render_movie(self, scene: bpy.types.Scene, out: Path, frames: tuple[int, ...]) -> None:
         if self._request.film or self._request.heat_maps or self._request.checkpoint:
             raise UsageError("--film, --heat-map and --checkpoint are for still pictures; the file renders a movie")
-        out = Path(_absolute(self._request.out))
         self._folders.prepare(out)
         checkpoints.asked = AskedCheckpoint(None, sample_first=self._request.sample_first)
         scene.frame_start, scene.frame_end, scene.frame_step = frames[0], frames[-1], 1

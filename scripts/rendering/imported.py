@@ -46,7 +46,7 @@ def import_geometry(request: Request) -> None:
         text = " ".join(str(error).removeprefix("Error:").split())
         raise SceneError(f"{request.source} cannot be imported: {text or type(error).__name__}") from None
     low, high = _bounds(scene)
-    if low is None:
+    if low is None or high is None:
         raise SceneError(f"{request.source} has no faces to render; is it damaged?")
 
     scene.render.resolution_x, scene.render.resolution_y = request.resolution or RESOLUTION_DEFAULT

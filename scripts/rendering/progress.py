@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import sys
 import time
+from typing import TYPE_CHECKING
 
 from raybatch_addon.core.observers import Progress
+
+if TYPE_CHECKING:
+    from tqdm import tqdm
 
 PLAIN_SECONDS = 5.0  # between lines where standard error is no terminal
 
@@ -15,7 +19,7 @@ class ProgressBar:
 
     def __init__(self) -> None:
         self.label = ""
-        self._bar = None
+        self._bar: tqdm | None = None
         self._terminal = sys.stderr.isatty()
         self._shown = time.perf_counter()
 

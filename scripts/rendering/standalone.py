@@ -41,7 +41,7 @@ def render_standalone(request: Request, folders: OutputFolders, bar: ProgressBar
         checkpoint = Checkpoint(
             request.checkpoint, request.checkpoint_interval, report=lambda text: print_notes([text])
         )
-    for path in (out, film_path, checkpoint and checkpoint.path, *(path for _, path in heat_maps)):
+    for path in (out, film_path, None if checkpoint is None else checkpoint.path, *(path for _, path in heat_maps)):
         if path is not None:
             folders.prepare(path)
     parts = Parts("export")

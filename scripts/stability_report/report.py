@@ -84,7 +84,7 @@ def verdict(result: Result) -> str:
 def text_report(results: list[Result], device: dict[str, Any], seconds: float) -> str:
     """A row for each run, what went wrong, and what was slow."""
     head = ("case", "tracer", "", "measured", "expected", "tolerance", "used", "invalid", "seconds")
-    rows = [head]
+    rows: list[tuple[str, ...]] = [head]
     for result in results:
         found = result.outcome
         numbers = [number(x) for x in (found.measured, found.expected, found.tolerance)] if found else [""] * 3
@@ -93,9 +93,9 @@ def text_report(results: list[Result], device: dict[str, Any], seconds: float) -
     widths = [max(len(row[i]) for row in rows) for i in range(len(head))]
     lines = [f"{device['name']} ({device['alias']})"]
     family = None
-    for result, row in zip([None, *results], rows):
-        if result is not None and result.case.family != family:
-            family = result.case.family
+    for of_row, row in zip([None, *results], rows):
+        if of_row is not None and of_row.case.family != family:
+            family = of_row.case.family
             lines += ["", family]
         cells = [cell.ljust(width) if i < 3 else cell.rjust(width) for i, (cell, width) in enumerate(zip(row, widths))]
         lines.append("  " + "  ".join(cells).rstrip())

@@ -52,7 +52,8 @@ class TimeCap(RenderObserver):
     """An observer that ends a render after some seconds of rendering, build and compilation not counted."""
 
     def __init__(self, seconds: float | None):
-        self._seconds, self._began = seconds, None
+        self._seconds = seconds
+        self._began: float | None = None
 
     def on_progress(self, progress: Progress) -> None:
         """The clock runs from the first rays on."""
@@ -171,7 +172,9 @@ class Bench:
         else:
             recorder = ConvergenceRecorder(1e9)
             self.session.render(scene, settings, observers=[recorder])
-            a, b = recorder.snapshots[-1].halves
+            halves = recorder.snapshots[-1].halves
+            assert halves is not None  # of a render with an error estimate
+            a, b = halves
             reference = Reference.of_halves(a, b, f"RayBatch, {samples} samples", samples)
             save_reference(path, reference, scene_hash(scene), settings)
         self._references = {key: reference}

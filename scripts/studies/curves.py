@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
-from raybatch_addon.core.convergence.points import fit_slope, time_to
+from raybatch_addon.core.convergence.points import ErrorPoint, fit_slope, time_to
 from studies.pages import device_title, number, table
 from studies.study import Report, Row
 
@@ -28,19 +28,20 @@ def runs(report: Report, scene: str, variant: str) -> list[Row]:
     return [row for row in report["rows"] if row["scene"] == scene and row["variant"] == variant and row.get("points")]
 
 
-def points_of(row: Row) -> list[SimpleNamespace]:
-    """`ErrorPoint`s of rows, as far as fits need them."""
+def points_of(row: Row) -> list[ErrorPoint]:
+    """The points of a row, as far as fits need them."""
     floor = row["floor"]
     return [
-        SimpleNamespace(
+        ErrorPoint(
             seconds=p["seconds"],
+            seconds_total=p["seconds"],
+            rays={},
             samples=p["samples"],
             rmse=p["rmse"],
             relmse=p["relmse"],
             rmse_spread=p["spread"],
             floor_rmse=floor["rmse"],
             floor_relmse=floor["relmse"],
-            from_halves=False,
         )
         for p in row["points"]
     ]
@@ -52,14 +53,14 @@ def median(values: Sequence[float | None]) -> float | None:
     return statistics.median(there) if 2 * len(there) > len(values) else None
 
 
-def mean_curve(rows: Sequence[Row]) -> list[SimpleNamespace]:
+def mean_curve(rows: Sequence[Row]) -> list[ErrorPoint]:
     """The mean of several runs: at each sample count mean squared errors and seconds are averaged."""
     curves = [points_of(row) for row in rows]
     mean = []
     for points in zip(*curves, strict=True):
         reported = {name: statistics.mean(getattr(p, name) for p in points) for name in ("seconds", "relmse")}
         rmse = math.sqrt(statistics.mean(p.rmse**2 for p in points))
-        mean.append(SimpleNamespace(**{**vars(points[0]), **reported, "rmse": rmse}))
+        mean.append(replace(points[0], **reported, rmse=rmse))
     return mean
 
 

@@ -45,7 +45,7 @@ def blend_of(name: str, options: Options) -> Path:
         return path
     path.parent.mkdir(parents=True, exist_ok=True)
     if name == "demo":
-        command = [SCRIPTS / "make_demo.py", path]
+        command: list[Any] = [SCRIPTS / "make_demo.py", path]
     else:
         command = [SCRIPTS / "mesh_to_blend.py", scenes.find(name, options), path, "--up", scenes.FILES[name][1]]
         if name in ON_A_STAGE:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 
@@ -31,11 +32,13 @@ def panels(count: int, width: float = 0.0, columns: int = 4) -> tuple[pyplot.Fig
 
 def legend(figure: pyplot.Figure, axes: list[pyplot.Axes], columns: int = 4) -> None:
     """One for all panels, below them, each name once."""
-    found = {}
+    found: dict[str, Any] = {}
     for axis in axes:
         for handle, text in zip(*axis.get_legend_handles_labels(), strict=True):
             found.setdefault(text, handle)
-    figure.legend(found.values(), found.keys(), fontsize=8, loc="outside lower center", ncols=min(columns, len(found)))
+    figure.legend(
+        list(found.values()), list(found), fontsize=8, loc="outside lower center", ncols=min(columns, len(found))
+    )
 
 
 def save(figure: pyplot.Figure, folder: Path, name: str) -> None:

@@ -32,7 +32,8 @@ class RowFile:
         """Goes on with the file, if there is one, else begins it with the first row; raises `UsageError` where it holds
         something else.
         """
-        self.path, self.rows, self._header = path, [], header
+        self.path, self._header = path, header
+        self.rows: list[Row] = []
         if path.exists():
             found, self.rows = read_rows(path)
             wanted = alike(header)

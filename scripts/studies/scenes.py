@@ -204,14 +204,14 @@ def scene_of(
     )
 
 
-def quad(name: str, corners: Sequence[Sequence[float]]) -> Mesh:
+def quad(name: str, corners: Sequence[Sequence[float] | np.ndarray]) -> Mesh:
     """Two triangles."""
     return Mesh(name, np.asarray(corners, np.float32), np.array([[0, 1, 2], [0, 2, 3]], np.int32))
 
 
 def diffuse(color: float | tuple[float, float, float]) -> Material:
     """A Lambertian material."""
-    weight = (color,) * 3 if np.isscalar(color) else tuple(color)
+    weight = color if isinstance(color, tuple) else (color, color, color)
     return Material("Diffuse", (Closure(ClosureKind.DIFFUSE, weight),), (ClosureKind.DIFFUSE,))
 
 

@@ -91,6 +91,7 @@ def _medians(files: dict[str, dict]) -> list[str]:
     cells = []
     for what in (VARIANCE, TIME, EQUAL):
         spread = Spread.of({name: statistics.median(each[what]) for name, each in files.items()})
+        assert spread is not None  # there are files
         worst = max(files, key=lambda name: max(files[name][what]))
         cells.append(f"{spread.median:.2f} ({spread.low:.2f} to {spread.high:.2f})")
         cells.append(f"{max(files[worst][what]):.2f} ({worst.rpartition('/')[2]})")

@@ -63,9 +63,9 @@ def save(figure: pyplot.Figure, name: str) -> None:
 
 def draw_tracers(reports: dict[str, dict[str, Any]], peer: str, name: str) -> None:
     """Bars of every tracer's rate over that of `peer`, a panel a scene."""
-    groups = max(len(cases(report)) for report in reports.values())
+    group_count = max(len(cases(report)) for report in reports.values())
     figure, panels = pyplot.subplots(
-        1, len(reports), figsize=((1.5 + 0.75 * groups) * len(reports), 3.4), squeeze=False, sharey=True
+        1, len(reports), figsize=((1.5 + 0.75 * group_count) * len(reports), 3.4), squeeze=False, sharey=True
     )
     for panel, report in zip(panels[0], reports.values(), strict=True):
         groups = cases(report)
@@ -198,9 +198,9 @@ def draw_batching(reports: dict[str, dict[str, Any]]) -> None:
     for panel, (words, groups) in zip(panels, beyond, strict=True):
         draw_bars(panel, groups)
         panel.set_yscale("log")
-        found = [math.log10(result["mrays_per_s"]) for by_name in groups.values() for result in by_name.values()]
+        rates = [math.log10(result["mrays_per_s"]) for by_name in groups.values() for result in by_name.values()]
         panel.set_ylim(
-            10 ** math.floor(min(found)), 10 ** math.ceil(max(found))
+            10 ** math.floor(min(rates)), 10 ** math.ceil(max(rates))
         )  # whole decades: no labels between them
         panel.set_title(words)
     panels[0].set_ylabel("Mrays/s, logarithmic")

@@ -32,8 +32,8 @@ SLOPE, VARIANCE, EQUAL, FIXED = (
     "equal_error_raybatch_over_cycles",
     "fixed_raybatch_over_cycles",
 )
-_KEPT = ("scene", "device", "versions", "frame", "sample_counts", "ray_tracing_cores", "raybatch", "cycles", "peer")
-_KEPT += (SLOPE, VARIANCE, EQUAL, FIXED, "mean_ratio")
+_FACTS = ("scene", "device", "versions", "frame", "sample_counts", "ray_tracing_cores", "raybatch", "cycles", "peer")
+_KEPT = (*_FACTS, SLOPE, VARIANCE, EQUAL, FIXED, "mean_ratio")
 HEADS = ("file", "RayBatch [ms]", *(f"Cycles, {kind} [ms]" for kind in KINDS), "time of a sample", "variance")
 HEADS += ("equal error", "fixed [s]", "brightness")
 
@@ -63,7 +63,7 @@ def table(data: list[dict[str, Any]]) -> str:
             row([each["scene"], f"{own['ms_a_sample']:.3g}", *slopes, *ratios, fixed, f"{each['mean_ratio']:.3f}"])
         )
     spreads = [Spread.of({each["scene"]: each[name] for each in data}) for name in (SLOPE, VARIANCE, EQUAL)]
-    medians = [f"{each.median:.2f} ({each.low:.2f} to {each.high:.2f})" for each in spreads]
+    medians = [f"{each.median:.2f} ({each.low:.2f} to {each.high:.2f})" for each in spreads if each is not None]
     worst = [f"{max(each[name] for each in data):.3g}" for name in (SLOPE, VARIANCE, EQUAL)]
     lines += [row(["**median**", "", "", "", *medians, "", ""]), row(["**worst**", "", "", "", *worst, "", ""])]
     return "\n".join(lines)

@@ -64,7 +64,7 @@ def blender_nodes() -> dict[str, str]:
             names[name] = tree.nodes.new(name).bl_rna.name
         except RuntimeError:  # it belongs into other graphs
             if name.startswith("ShaderNode"):  # into graphs of materials, worlds or lights, but into no group
-                names[name] = kind.bl_rna.name
+                names[name] = getattr(bpy.types, name).bl_rna.name
     bpy.data.node_groups.remove(tree)
     return names
 

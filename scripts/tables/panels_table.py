@@ -57,17 +57,17 @@ _OF_EVERY_GROUP = ("rna_type", "name")  # properties
 _LARGE = 2**31 - 1  # from here on a range is written without its end
 
 
-def panels() -> list[type]:
+def panels() -> list[type[bpy.types.Panel]]:
     """The add-on's own panels, those of a group of settings in the order of the groups, the others by name. The add-on
     is registered for it, where it is not.
     """
     if not hasattr(bpy.types, f"{_PREFIX}device"):
         raybatch_addon.register()
     found = [each for each in _below(EnginePanel) if getattr(each, "is_registered", False)]
-    return sorted((each for each in found if not each.__doc__.startswith("As Blender's own")), key=_place)
+    return sorted((each for each in found if not str(each.__doc__).startswith("As Blender's own")), key=_place)
 
 
-def _place(panel: type) -> tuple:
+def _place(panel: type[bpy.types.Panel]) -> tuple:
     name = panel.__name__.removeprefix(_PREFIX)
     within = getattr(panel, "bl_parent_id", "").removeprefix(_PREFIX)
     pages, groups = [*PAGES], [each.lower() for each in GROUPS]
@@ -75,7 +75,7 @@ def _place(panel: type) -> tuple:
     return page, within != "", groups.index(name) if name in groups else len(groups), panel.__name__
 
 
-def _below(kind: type) -> Iterator[type]:
+def _below(kind: type[bpy.types.Panel]) -> Iterator[type[bpy.types.Panel]]:
     for each in kind.__subclasses__():
         yield each
         yield from _below(each)
@@ -94,9 +94,7 @@ def _values(info: SettingInfo) -> str:
     """What a number may be, and what it is at first."""
     unit = _UNITS.get(info.unit, info.unit)
     scale = 1e6 if info.unit == BYTES else 1
-    least, most = (
-        int(each) if info.kind is int and scale == 1 else each / scale for each in (info.minimum, info.maximum)
-    )
+    least, most = (int(each) if info.kind is int and scale == 1 else each / scale for each in info.range)
     if info.auto is not None and info.kind is int:
         at_first = "At first *Auto*"
         least = info.least or info.multiple if least == info.auto and info.unit != BYTES else least
@@ -106,7 +104,7 @@ def _values(info: SettingInfo) -> str:
         at_first = f"At first {_number(info.default)}"
     bounds = (
         f"{_number(least)} or more"
-        if most * scale >= _LARGE or info.maximum >= 1e9
+        if most * scale >= _LARGE or info.range[1] >= 1e9
         else f"{_number(least)} to {_number(most)}"
     )
     return f"{at_first}; {bounds} {unit}".rstrip() + "."
@@ -147,8 +145,8 @@ def page_part(name: str) -> str:
     return "\n".join(lines).strip()
 
 
-def _panel_lines(panel: type, group: type | None) -> list[str]:
-    lines = [panel.__doc__, ""]
+def _panel_lines(panel: type[bpy.types.Panel], group: type[bpy.types.PropertyGroup] | None) -> list[str]:
+    lines = [str(panel.__doc__), ""]
     own = panel.__name__.removeprefix(_PREFIX).upper()
     for info in SETTINGS.values():
         if info.group == own and own in GROUPS:

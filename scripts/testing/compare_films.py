@@ -41,7 +41,7 @@ def digest_of(film: Any) -> str:
 class Recorder:
     """Digests of all films that are rendered while it is installed, by the order in which they come."""
 
-    def __init__(self, session_class: type) -> None:
+    def __init__(self, session_class: Any) -> None:
         self.digests: list[str] = []
         self._render = session_class.render
         recorder = self

@@ -73,6 +73,7 @@ class UnitRun:
 
     def poll(self) -> None:
         """Notice the end of the process."""
+        assert self.process is not None  # since `begin`
         code = self.process.poll()
         if code is not None:
             self.seconds = time.monotonic() - self.started
@@ -80,6 +81,7 @@ class UnitRun:
 
     def stop(self) -> None:
         """End the process, however far it is."""
+        assert self.process is not None  # since `begin`
         os.killpg(self.process.pid, signal.SIGKILL)
         self.process.wait()
         self.state, self.seconds = STOPPED, time.monotonic() - self.started
@@ -94,7 +96,7 @@ class UnitRun:
 
 
 def run_units(
-    runs: Sequence[UnitRun], device: str, kernels: Path, jobs: int, end: float, on_change: Callable[[], None]
+    runs: Sequence[UnitRun], device: str, kernels: Path, jobs: int, end: float, on_change: Callable[[], object]
 ) -> None:
     """Run all in `jobs` processes until `end` [s of the monotonic clock]; `on_change` is called when one ends, and in
     between.

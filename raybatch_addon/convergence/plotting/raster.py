@@ -29,7 +29,7 @@ class Canvas:
     def rectangle(self, x0: float, y0: float, x1: float, y1: float, color: Color, alpha: float = 1.0) -> None:
         """Fill from (x0, y0) to (x1, y1), rounded to whole pixels."""
         part = self._part(round(x0), round(y0), round(x1), round(y1))
-        part += (np.float32(color) - part) * np.float32(alpha)
+        part += (np.array(color, np.float32) - part) * np.float32(alpha)
 
     def line(
         self,
@@ -75,7 +75,7 @@ class Canvas:
         mask = mask[max(-y0, 0) :, max(-x0, 0) :]
         part = self._part(x0, y0, x0 + mask.shape[1] + max(-x0, 0), y0 + mask.shape[0] + max(-y0, 0))
         mask = mask[: part.shape[0], : part.shape[1], None]
-        part += (np.float32(color) - part) * mask
+        part += (np.array(color, np.float32) - part) * mask
 
     def _segment(self, a, b, color: Color, radius: float, clip, alpha: float) -> None:
         x0, x1 = (
@@ -90,7 +90,7 @@ class Canvas:
             return
         part = self._part(x0, y0, x1, y1)
         mask = _coverage(a, b, radius, x0, y0, part.shape[1], part.shape[0])
-        part += (np.float32(color) - part) * (mask * np.float32(alpha))[..., None]
+        part += (np.array(color, np.float32) - part) * (mask * np.float32(alpha))[..., None]
 
 
 def text_width(text: str, size: float) -> float:
@@ -135,6 +135,6 @@ def _letter_mask(letter: str, unit: float) -> np.ndarray:
     mask = np.zeros((int(9 * unit) + 5, int(5 * unit) + 5), np.float32)
     for stroke in strokes_of(letter):
         for a, b in itertools.pairwise(stroke):
-            ends = [(2 + x * unit + unit / 2, 2 + y * unit) for x, y in (a, b)]
-            np.maximum(mask, _coverage(*ends, _STROKE * unit / 2, 0, 0, mask.shape[1], mask.shape[0]), out=mask)
+            start, end = ((2 + x * unit + unit / 2, 2 + y * unit) for x, y in (a, b))
+            np.maximum(mask, _coverage(start, end, _STROKE * unit / 2, 0, 0, mask.shape[1], mask.shape[0]), out=mask)
     return mask

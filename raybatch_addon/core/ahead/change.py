@@ -87,6 +87,7 @@ class TierChanges:
         """
         ours = self._features == request.features
         if self._process is not None and not self._process.is_running:
+            assert self._features is not None  # since the process was begun
             if complaint := self._process.complaint():
                 self.fail(self._features, complaint)
             self._process = None

@@ -57,6 +57,7 @@ class CompileProcess:
             stderr=subprocess.PIPE,
             creationflags=flags,
         )
+        assert self._process.stdin is not None  # a pipe
         _running[:] = [each for each in _running if each.is_running] + [self]
         with contextlib.suppress(OSError):  # it has ended: `complaint` says why
             # the pipe stays open: its end lets the other process know that this one is gone
@@ -79,6 +80,7 @@ class CompileProcess:
         return self._report() if self._process.poll() == 0 else ""
 
     def _report(self) -> str:
+        assert self._process.stderr is not None  # a pipe
         if not self._process.stderr.closed:
             with self._process.stderr as pipe:
                 lines = pipe.read().decode("utf-8", "replace").strip().splitlines()

@@ -52,7 +52,7 @@ class Checkpoint:
         interval: float = INTERVAL_DEFAULT,
         *,
         begins_anew: bool = False,
-        report: Callable[[str], None] = lambda text: None,
+        report: Callable[[str], object] = lambda text: None,
     ):
         """The file is written every `interval` seconds, and at the end. `report` gets what the user should know.
 
@@ -78,14 +78,14 @@ class Checkpoint:
         """The film to go on with; None where the render begins. Raises `CheckpointError` where a file is there that
         cannot be gone on with.
         """
-        self._identity = FilmIdentity.of(scene, settings, device)
+        self._identity = identity = FilmIdentity.of(scene, settings, device)
         remove_leftovers(self.path)
         if not os.path.lexists(self.path):
             return None
         kept = None
         try:
             kept = load_kept(self.path)
-            if reason := self._why_not(kept, sample_first):
+            if reason := _why_not(kept, identity, sample_first):
                 raise CheckpointError(
                     f"{self.path} cannot be gone on with: {reason}; render as it was begun, or name another checkpoint"
                 )
@@ -102,22 +102,6 @@ class Checkpoint:
             f"goes on from {self.path}: {self.samples_before:.5g} of {settings.sample_count:,} samples are there"
         )
         return film
-
-    def _why_not(self, kept: KeptFilm, sample_first: int) -> str:
-        progress, began, asked = kept.progress, kept.identity.settings, self._identity.settings
-        if reason := self._identity.why_not(kept.identity):
-            return reason
-        if progress.sample_first != sample_first:
-            return f"its samples begin at {progress.sample_first}, and {sample_first} is asked for"
-        if asked["sample_count"] < began["sample_count"]:
-            return f"it was begun for {began['sample_count']} samples, and now sample_count is {asked['sample_count']}"
-        is_more = asked["sample_count"] > began["sample_count"]
-        if is_more and asked["error_target"] > 0 and progress.end is None and progress.done == began["sample_count"]:
-            return (
-                "it has all samples that were asked for, and with error_target, which looks at the error at the end, "
-                "more of them would not be the film of one render"
-            )
-        return ""
 
     def _put_aside(self, kept: KeptFilm | None, error: CheckpointError) -> None:
         is_over = kept is not None and kept.progress.end is None
@@ -198,6 +182,7 @@ class Checkpoint:
 
     def _write(self, copy: _Copy, begun: float, stopped: float) -> None:
         """On the thread that writes."""
+        assert self._identity is not None  # since `begin`
         part, written_from = self._identity.part, time.perf_counter()
         try:
             arrays = (samples_as_arrays(part, tiles) for tiles in copy.halves)
@@ -220,6 +205,24 @@ class Checkpoint:
             self.warnings.append(text)
 
 
+def _why_not(kept: KeptFilm, identity: FilmIdentity, sample_first: int) -> str:
+    """Why a render of `identity` cannot go on from what is `kept`; empty where it can."""
+    progress, began, asked = kept.progress, kept.identity.settings, identity.settings
+    if reason := identity.why_not(kept.identity):
+        return reason
+    if progress.sample_first != sample_first:
+        return f"its samples begin at {progress.sample_first}, and {sample_first} is asked for"
+    if asked["sample_count"] < began["sample_count"]:
+        return f"it was begun for {began['sample_count']} samples, and now sample_count is {asked['sample_count']}"
+    is_more = asked["sample_count"] > began["sample_count"]
+    if is_more and asked["error_target"] > 0 and progress.end is None and progress.done == began["sample_count"]:
+        return (
+            "it has all samples that were asked for, and with error_target, which looks at the error at the end, "
+            "more of them would not be the film of one render"
+        )
+    return ""
+
+
 def _mark(state: ResumeState) -> tuple:
     """Changes when samples come."""
     return state.done, state.end, sum(each.items_begun for each in state.states)
@@ -228,10 +231,11 @@ def _mark(state: ResumeState) -> tuple:
 def _samples(state: ResumeState) -> list[list[TileSamples]]:
     """The samples of each half, tile by tile, which the render does not change."""
     halves = range(len(state.tiles[0]))
-    return [[_copy(tiles[half].held) for tiles in state.tiles if tiles[half].held] for half in halves]
+    return [[_copy(held) for tiles in state.tiles if (held := tiles[half].held)] for half in halves]
 
 
 def _copy(tile: FinishedTile) -> TileSamples:
+    assert tile.film is not None, "a half is no sum of halves"
     samples = tile.fetch()
     if tile.film.window.device.is_cpu:  # arrays there are the device's own
         sums = ExactSums(samples.sums.window.copy(), samples.sums.wide.copy(), samples.sums.channels)

@@ -42,13 +42,14 @@ class FilmIdentity:
     def of(scene: Scene, settings: RenderSettings, device: wp.Device) -> FilmIdentity:
         """The identity of the film of a render that is asked for."""
         frame, record = scene.frame, versions()
+        x0, y0, x1, y1 = map(int, frame.region)
         return FilmIdentity(
             versions={name: record[name] for name in _VERSIONS},
             device=f"CUDA, {device.name}" if device.is_cuda else f"CPU, {platform.machine()}",
             scene=_scene_parts(scene),
             width=frame.width,
             height=frame.height,
-            region=tuple(int(edge) for edge in frame.region),
+            region=(x0, y0, x1, y1),
             passes=tuple(frame.passes),
             transparent=bool(frame.transparent),
             settings=estimator_settings(settings) | {"batching": _tree(settings)},

@@ -68,7 +68,7 @@ class KeptProgress:
     @staticmethod
     def of_record(header: dict[str, Any], arrays: dict[str, np.ndarray], part: FilmPart) -> KeptProgress:
         """The inverse of `record`; raises `ValueError`, `TypeError` or `KeyError` for what is none."""
-        tiles = tuple(tuple(map(int, tile)) for tile in header["tiles"])
+        tiles = tuple((int(x), int(y), int(width), int(height)) for x, y, width, height in header["tiles"])
         begun = tuple(tuple(map(int, halves)) for halves in header["items_begun"])
         covered = np.zeros(part.pixel_count, np.int64)
         if sum(width * height for _, _, width, height in tiles) == part.pixel_count:

@@ -230,10 +230,11 @@ def _measured_covariance(points: Sequence[ErrorPoint], errors: Sequence[float]) 
     """Covariances of log(RMSE) as pixels give them; None where a point has no pixels, or too few for a matrix that can
     be one.
     """
-    if any(not p.rmse_spread for p in points):
+    spreads = [p.rmse_spread for p in points if p.rmse_spread]
+    if len(spreads) < len(points):
         return None
     # without the floor the same deviation of the squared error is a larger share of it
-    relative = np.array([p.rmse_spread * p.rmse / error**2 for p, error in zip(points, errors)]) ** 2
+    relative = np.array([spread * p.rmse / error**2 for spread, p, error in zip(spreads, points, errors)]) ** 2
     samples = np.array([p.samples for p in points])
     covariance = _nesting(points) * np.where(samples[:, None] <= samples, relative[:, None], relative)
     if np.linalg.eigvalsh(covariance)[0] < 1e-6 * relative.max():

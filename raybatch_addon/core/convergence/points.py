@@ -133,7 +133,7 @@ def error_point(
     if reference is not None:
         error, scale = squared_error(snapshot.picture, reference.picture), relative_to(reference.picture)
         floor = noise_floor(reference)
-    elif _has_halves(snapshot):
+    elif snapshot.halves is not None and _has_halves(snapshot):
         error = squared_error_of_halves(*snapshot.halves, snapshot.each)
         scale = relative_to_halves(*snapshot.halves)
         if snapshot.counts is not None:

@@ -131,7 +131,7 @@ def save_reference(
         "settings": estimator,
         "facts": facts or {},
     }
-    arrays = {"picture": reference.picture}
+    arrays: dict[str, Any] = {"picture": reference.picture}
     if reference.variance is not None:
         arrays["variance"] = reference.variance
     try:
@@ -257,6 +257,6 @@ def _feed(digest: hashlib.blake2b, value: Any) -> None:
         for item in value:
             _feed(digest, item)
     elif isinstance(value, enum.Enum):
-        digest.update(f"{int(value)};".encode())
+        digest.update(f"{int(value.value)};".encode())
     else:
         digest.update(f"{value!r};".encode())

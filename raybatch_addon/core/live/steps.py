@@ -30,9 +30,9 @@ class Pace:
 
     def seconds(self, pixel_samples: float) -> float | None:
         """What so many samples of pixels will take; None: nobody knows yet."""
-        return None if self._seconds_a_pixel is None else FIXED_SECONDS + self._seconds_a_pixel * pixel_samples
+        return None if self._seconds_a_pixel is None else _seconds(self._seconds_a_pixel, pixel_samples)
 
-    def divisors(self, pixel_count: int) -> list[int]:
+    def divisors(self, pixel_count: float) -> list[int]:
         """Sides of the pixels of one picture after another, in pixels of the last one, whose side is 1: halved each
         time, from the finest on that is planned to be there in `FIRST_SECONDS`.
         """
@@ -40,7 +40,7 @@ class Pace:
             first = UNKNOWN
         else:
             first = 1
-            while first < COARSEST and self.seconds(pixel_count / first**2) > FIRST_SECONDS:
+            while first < COARSEST and _seconds(self._seconds_a_pixel, pixel_count / first**2) > FIRST_SECONDS:
                 first *= 2
         found = [first]
         while found[-1] > 1:
@@ -60,6 +60,10 @@ class Pace:
                 marks.add(done)
                 done += min(step, done)
         return sorted(marks)
+
+
+def _seconds(a_pixel: float, pixel_samples: float) -> float:
+    return FIXED_SECONDS + a_pixel * pixel_samples
 
 
 def coarse(scene: Scene, side: int) -> Scene:

@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
 import warp as wp
 
@@ -17,6 +17,8 @@ STAGES = ("generate", "lists", "sort", "queue", "top level", "treelet", "trace",
 PENDING_MAX = 1024
 # Every so many intervals those that are over are read
 _READ_EVERY = 64
+
+Tag = TypeVar("Tag", bound=Hashable)
 
 
 class Clock(Protocol):
@@ -98,32 +100,33 @@ def cost_clock_of(device: wp.Device) -> Clock:
 
 
 @dataclass(frozen=True)
-class _Interval:
-    tag: Hashable
+class _Interval(Generic[Tag]):
+    tag: Tag
     start: Any
     end: Any
 
 
-class Stopwatch:
+class Stopwatch(Generic[Tag]):
     """Times intervals of a device's work. They follow one another: none begins before the last has ended."""
 
     def __init__(self, clock: Clock):
         self._clock = clock
-        self._pending: deque[_Interval] = deque()
-        self._begun: tuple[Hashable, Any] | None = None
+        self._pending: deque[_Interval[Tag]] = deque()
+        self._begun: tuple[Tag, Any] | None = None
 
-    def start(self, tag: Hashable) -> None:
+    def start(self, tag: Tag) -> None:
         """An interval begins; `tag` comes back with its time."""
         assert self._begun is None, f"{tag} begins before {self._begun} has ended"
         self._begun = tag, self._clock.mark()
 
     def stop(self) -> None:
         """The interval ends."""
+        assert self._begun is not None, "an interval ends that has not begun"
         tag, start = self._begun
         self._begun = None
         self._pending.append(_Interval(tag, start, self._clock.mark()))
 
-    def take(self, wait: bool = False) -> list[tuple[Hashable, float]]:
+    def take(self, wait: bool = False) -> list[tuple[Tag, float]]:
         """Tags and times [s] of intervals that are over, the oldest first; `wait` for all of them."""
         taken = []
         while self._pending and (wait or len(self._pending) > PENDING_MAX or self._clock.is_past(self._pending[0].end)):
@@ -138,7 +141,7 @@ class StageTimer:
     """Sums up the time of each of `STAGES`. `with timer.stage("trace"): ...`; stages are not nested."""
 
     def __init__(self, clock: Clock):
-        self._watch = Stopwatch(clock)
+        self._watch: Stopwatch[str] = Stopwatch(clock)
         self._seconds = dict.fromkeys(STAGES, 0.0)
         self._begun = 0
 

@@ -22,6 +22,12 @@ from .op import Op, as_python, op_named
 Constant = float | tuple[float, float, float]
 
 
+def three_numbers(numbers: Sequence[float]) -> tuple[float, float, float]:
+    """The first three of one to four `numbers`; 0 stands for those that are not there."""
+    x, y, z = (*(float(each) for each in numbers[:3]), 0.0, 0.0)[:3]
+    return x, y, z
+
+
 @dataclass(frozen=True, eq=False)
 class Value:
     """A number (width 1) or vector (width 3) of a program: a constant, or the result of an instruction."""

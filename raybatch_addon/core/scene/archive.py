@@ -38,7 +38,7 @@ _CLASSES: dict[str, type] = {
 def save_scene(path: str | Path, scene: description.Scene, settings: RenderSettings) -> None:
     """Write `scene` and `settings` to `path`, whole or not at all; raises `SceneError` if it cannot be written."""
     path = Path(path)
-    arrays: dict[str, np.ndarray] = {}
+    arrays: dict[str, Any] = {}
     members: dict[int, str] = {}  # member by id of an array, so that one used twice is written once
     tree = {"scene": _encode(scene, arrays, members), "settings": _encode(settings, arrays, members)}
     header = json.dumps({"format": FORMAT, "version": VERSION, **tree}, ensure_ascii=False)

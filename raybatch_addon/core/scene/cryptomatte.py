@@ -54,7 +54,7 @@ def matte_fields(layer: str, scene: Scene) -> dict[str, str]:
         "CryptoMaterial": [material.name for material in scene.materials],
         "CryptoAsset": scene.asset_names,
     }
-    fields = {}
+    fields: dict[str, str] = {}
     for kind in matte_kinds(scene.frame.passes):
         name = f"{layer}.{kind}" if layer else kind
         manifest = {each: f"{murmur_hash(each):08x}" for each in names[kind]}

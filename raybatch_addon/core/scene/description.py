@@ -338,7 +338,7 @@ class Image:
     # uint8 (255 is 1), float16 or float32, shape [height, width, channels] with 1 (grey), 3 (RGB) or 4 (RGBA) channels
     pixels: np.ndarray | None = None
     encoding: ImageEncoding = ImageEncoding.LINEAR
-    tiles: tuple[tuple[int, np.ndarray], ...] | None = None  # tile number and its pixels, instead of `pixels`
+    tiles: tuple[tuple[int, np.ndarray | None], ...] | None = None  # tile number and its pixels, instead of `pixels`
 
 
 @dataclass(frozen=True)

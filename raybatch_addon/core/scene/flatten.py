@@ -116,6 +116,7 @@ def _motion(scene: Scene, mesh_position: dict[int, int]) -> FlatMotion:
 
 
 def _steps_of(mesh: Mesh) -> tuple[np.ndarray, np.ndarray | None]:
+    assert mesh.motion is not None, "the mesh deforms"
     if mesh.radii is None:
         return mesh.motion, mesh.motion_normals
     packed = [pack_segments(each, mesh.radii, mesh.triangles, mesh.ribbons)[0] for each in mesh.motion]

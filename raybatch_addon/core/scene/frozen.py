@@ -8,19 +8,19 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Callable, Iterable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 Fact = TypeVar("Fact")
 
 # By identity of the array and what computes the fact: the array, as long as it lives, and the fact
-_facts: dict[tuple[int, Callable], tuple[weakref.ref, object]] = {}
+_facts: dict[tuple[int, Callable], tuple[weakref.ref[np.ndarray], Any]] = {}
 
 
 def freeze(array: np.ndarray) -> np.ndarray:
     """`array`, which cannot be written any more, nor can what it is a view of."""
-    part = array
+    part: np.ndarray | None = array
     while isinstance(part, np.ndarray):
         part.flags.writeable = False
         part = part.base
@@ -29,7 +29,7 @@ def freeze(array: np.ndarray) -> np.ndarray:
 
 def is_frozen(array: np.ndarray) -> bool:
     """Whether neither `array` nor what it is a view of can be written."""
-    part = array
+    part: np.ndarray | None = array
     while isinstance(part, np.ndarray):
         if part.flags.writeable:
             return False
@@ -73,7 +73,7 @@ class Same:
         )
 
 
-def _is_same(reference: weakref.ref | None, array: np.ndarray | None) -> bool:
+def _is_same(reference: weakref.ref[np.ndarray] | None, array: np.ndarray | None) -> bool:
     if reference is None or array is None:
         return reference is None and array is None
     return reference() is array and is_frozen(array)

@@ -20,6 +20,11 @@ class Notice(str):
     """A message, and what it is about; the text stands for itself wherever messages are printed."""
 
     __slots__ = ("material", "nodes", "objects", "remedy", "weight")
+    weight: Weight
+    objects: tuple[str, ...]
+    material: str
+    nodes: tuple[str, ...]
+    remedy: str
 
     def __new__(
         cls,

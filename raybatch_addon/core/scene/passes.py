@@ -122,7 +122,7 @@ def summed_passes(passes: tuple[str, ...]) -> tuple[str, ...]:
     for light in (DIRECT_PASSES, INDIRECT_PASSES):
         wanted.update(color for name, color in zip(light, COLOR_PASSES) if name in passes)
     weights = (VECTOR_WEIGHT,) if VECTOR in wanted else ()
-    caught = ()
+    caught: tuple[str, ...] = ()
     if shows_catchers(passes):
         caught = tuple(name for name in CATCHER_SUMS if name != CAUGHT_WORLD or CATCHER_SHADOWS in wanted)
     return (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 
@@ -243,7 +244,7 @@ def _with_usable_maps(instances: Instances, warnings: list[str]) -> Instances:
             continue
         if not _belong(moved, len(instances)):
             warnings.append(f"the {what} of objects does not belong to them: they stand still")
-            instances = dataclasses.replace(instances, **{name: None})
+            instances = _with_maps(instances, name, None)
             continue
         with np.errstate(invalid="ignore"):
             good = (np.abs(moved.maps) <= COORDINATE_MAX).all((1, 2, 3))
@@ -251,8 +252,14 @@ def _with_usable_maps(instances: Instances, warnings: list[str]) -> Instances:
             count = int((~good).sum())
             warnings.append(f"{count:,} objects move to places that are not finite or too far: they stand still")
             kept = InstanceMaps(moved.instance[good], moved.maps[good])
-            instances = dataclasses.replace(instances, **{name: kept})
+            instances = _with_maps(instances, name, kept)
     return instances
+
+
+def _with_maps(instances: Instances, name: str, maps: InstanceMaps | None) -> Instances:
+    """`instances` whose field `name`, motion or frames, is `maps`."""
+    changes: dict[str, Any] = {name: maps}
+    return dataclasses.replace(instances, **changes)
 
 
 def _belong(moved: InstanceMaps, count: int) -> bool:
@@ -321,7 +328,7 @@ def _checked_instances(scene: Scene, warnings: list[str]) -> Instances:
         (large, f"an extent below {EXTENT_MIN:g} m"),
         (within, f"a scale so small that the scene reaches beyond {COORDINATE_MAX:g} m in its own space"),
     )
-    for i in np.flatnonzero(~keep):
+    for i in np.flatnonzero(~keep).tolist():
         why = next(why for good, why in reasons if not good[i])
         text = f"object “{_object_name(scene, i)}” has {why}: it is not rendered"
         if text not in warnings:
@@ -330,7 +337,8 @@ def _checked_instances(scene: Scene, warnings: list[str]) -> Instances:
     if keep.all():
         return instances
     names = (field.name for field in dataclasses.fields(Instances))
-    return Instances(**{name: _kept(getattr(instances, name), keep) for name in names})
+    columns: dict[str, Any] = {name: _kept(getattr(instances, name), keep) for name in names}
+    return Instances(**columns)
 
 
 def _kept(column: np.ndarray | InstanceMaps | None, keep: np.ndarray) -> np.ndarray | InstanceMaps | None:

@@ -89,15 +89,22 @@ class SettingInfo:
     off: Any = None  # the value of a number that sets no limit; None: there is none
     start: Any = None  # of a number with `auto` or `off`: what it is at first where it is neither
 
+    @property
+    def range(self) -> tuple[float, float]:
+        """The smallest and the largest value of a number."""
+        assert self.minimum is not None and self.maximum is not None, f"{self.name} is no number"
+        return self.minimum, self.maximum
+
     def range_text(self) -> str:
         """The legal values in words, for messages and the manual."""
         if self.choices:
             return "one of " + ", ".join(identifier for identifier, _, _ in self.choices)
         if self.kind is str:
             return "text"
+        minimum, maximum = self.range
         if self.kind is not int:
-            return f"{self.minimum:g} to {self.maximum:g}"
-        lowest, highest = int(self.minimum), int(self.maximum)
+            return f"{minimum:g} to {maximum:g}"
+        lowest, highest = int(minimum), int(maximum)
         if self.least or self.multiple > 1:
             words = f"{lowest}, or {self.least or self.multiple} to {highest}"
             return words + (f" in steps of {self.multiple}" if self.multiple > 1 else "")
@@ -161,7 +168,7 @@ _TYPES = {"int": int, "float": float, "str": str}
 def infos_of(settings: type) -> dict[str, SettingInfo]:
     """By name, of a dataclass whose fields are made by `setting`."""
     return {
-        field.name: SettingInfo(name=field.name, default=field.default, kind=_TYPES[field.type], **field.metadata)
+        field.name: SettingInfo(name=field.name, default=field.default, kind=_TYPES[str(field.type)], **field.metadata)
         for field in dataclasses.fields(settings)
     }
 
@@ -184,6 +191,7 @@ def checked(info: SettingInfo, value: Any) -> Any:
             if text not in {identifier for identifier, _, _ in info.choices}:
                 raise complaint()
         return text
+    minimum, maximum = info.range
     if info.unit == BYTES and isinstance(value, str):
         value = _bytes(value, complaint)
     try:
@@ -195,9 +203,9 @@ def checked(info: SettingInfo, value: Any) -> Any:
             number = exact
     except (TypeError, ValueError, OverflowError):
         raise complaint() from None
-    if not math.isfinite(number) or not info.minimum <= number <= info.maximum:
+    if not math.isfinite(number) or not minimum <= number <= maximum:
         raise complaint()
-    if info.kind is int and number != info.minimum and (number < info.least or number % info.multiple):
+    if info.kind is int and number != minimum and (number < info.least or number % info.multiple):
         raise complaint()
     return number
 

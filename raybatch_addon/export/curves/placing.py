@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable
 from dataclasses import replace
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 import bpy
 
@@ -16,7 +16,7 @@ from .sources import STRAND_KIND, CurvesSource, ParticleHair, PointsSource, Sour
 from .strands import curve_shape
 
 _Asked = list[tuple[str, str]]
-CurveData = bpy.types.Curves | bpy.types.PointCloud | bpy.types.ParticleSystemModifier
+CurveData: TypeAlias = bpy.types.Curves | bpy.types.PointCloud | bpy.types.ParticleSystemModifier
 
 
 class MaterialCollector(Protocol):

@@ -45,7 +45,7 @@ class CurvesSource(_Source):
         # an empty data-block says that it has an offset, and does not give it
         offsets = curves.curve_offset_data
         first = read(offsets, "value", np.int32, len(offsets)) if count else np.zeros(1, np.int32)
-        self._first, self._notes = first, []
+        self._first, self._notes = first, list[str]()
         radii = self._adapted("radius", "POINT")
         radii = np.full(count, _CURVE_RADIUS, np.float32) if radii is None else radii[:, 0]
         self._cut = CutStrands(sound_strands(points, radii, first), shape)
@@ -114,8 +114,8 @@ class CurvesSource(_Source):
         if kind == STRAND_KIND and name == "normal":
             # one by one: `foreach_get` reads memory here that Blender has freed already
             each = chain.from_iterable(normal.vector for normal in self._curves.normals)
-            values = np.fromiter(each, np.float32, 3 * self._given).reshape(-1, 3)
-            return Attribute(kind, name, np.ascontiguousarray(np.nan_to_num(self._cut.of_points(values))))
+            normals = np.fromiter(each, np.float32, 3 * self._given).reshape(-1, 3)
+            return Attribute(kind, name, np.ascontiguousarray(np.nan_to_num(self._cut.of_points(normals))))
         if kind == STRAND_KIND:
             return hair_attribute(self._cut, name)
         attribute = self._curves.attributes.get(name) if name else None

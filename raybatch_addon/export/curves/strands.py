@@ -302,7 +302,7 @@ def curve_shape(scene: bpy.types.Scene) -> CurveShape:
     """The shape that `scene` says (a setting of Cycles, where its add-on is enabled)."""
     settings = getattr(scene, "cycles_curves", None)
     shape = getattr(settings, "shape", "THICK")
-    if shape == "RIBBONS":
+    if settings is not None and shape == "RIBBONS":
         return CurveShape(ribbons=True, parts_most=min(1 << settings.subdivisions, _PARTS_MOST))
     return CurveShape(linear=shape == "THICK_LINEAR")
 

@@ -16,9 +16,9 @@ _HEAD_LENGTH = 32  # bytes of a file that show its kind
 
 def frame_number(user: bpy.types.ImageUser | None, frame: int) -> int:
     """The frame of a sequence or movie that `user`, an `ImageUser`, shows at the scene's frame `frame`."""
-    length = user.frame_duration if user is not None else 0
-    if length <= 0:
+    if user is None or user.frame_duration <= 0:
         return 0
+    length = user.frame_duration
     shown = frame - user.frame_start + 1
     if user.use_cyclic:
         shown = shown % length or length

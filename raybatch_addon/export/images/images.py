@@ -148,7 +148,7 @@ def _stamp(path: str) -> tuple[int, int]:
 def _same(a: Image, b: Image) -> bool:
     if (a.name, a.encoding, a.tiles is None) != (b.name, b.encoding, b.tiles is None):
         return False
-    if a.tiles is None:
+    if a.tiles is None or b.tiles is None:
         return _same_pixels(a.pixels, b.pixels)
     return len(a.tiles) == len(b.tiles) and all(
         m == n and _same_pixels(p, q) for (m, p), (n, q) in zip(a.tiles, b.tiles)
@@ -180,12 +180,12 @@ def _exported(
     if image.source == "TILED":
         tiles, encoding = [], ImageEncoding.LINEAR
         for tile in image.tiles:
-            path = tile_path(image, tile.number)
-            pixels, encoding = _picture(image, kind, path, tile.number)
+            file = tile_path(image, tile.number)
+            pixels, encoding = _picture(image, kind, file, tile.number)
             if pixels is None:
                 notes.append(
                     f"{label}, tile {tile.number}, has no pixels"
-                    + (f", or {path} cannot be read" if path else "")
+                    + (f", or {file} cannot be read" if file else "")
                     + ": it is magenta"
                 )
             tiles.append((tile.number, pixels))
@@ -225,6 +225,7 @@ def _picture(
         return None, encoding
     if not is_float:
         if own is None:
+            assert pixels is not None
             if image.alpha_mode == "PREMUL" and from_file and kind is not SpaceKind.DATA:
                 raw, _ = read(raw=True)  # with the colours that Blender has divided out
                 pixels = pixels if raw is None else raw
@@ -234,6 +235,7 @@ def _picture(
         if straight:
             _multiply_bytes(own)
         return _compact(own, image), encoding
+    assert pixels is not None  # floats were read
     if not from_file:
         if straight and pixels.shape[2] == 4:
             pixels[..., :3] *= pixels[..., 3:]

@@ -18,6 +18,7 @@ from ..panorama import export_panorama
 
 # Parts of a region: x0, y0, x1, y1
 Box = tuple[int, int, int, int]
+Edges = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,10 +94,10 @@ def live_camera(
     if view.through_camera and camera is not None:
         evaluated, scene = camera.evaluated_get(depsgraph), depsgraph.scene
         made, frame_edges = _through(evaluated, scene, depsgraph, transform, window)
-        box = None if view.border is None else _box_in(view, frame_edges)
+        box = None if view.border is None else _box_in(view, view.border, frame_edges)
     else:
         made = _free(view, transform, window)
-        box = None if view.border is None else _box_in(view, window)
+        box = None if view.border is None else _box_in(view, view.border, window)
     frame = replace(frame, width=view.width, height=view.height, border=box)
     if box is not None and (box[0] >= box[2] or box[1] >= box[3]):
         return made, None
@@ -122,7 +123,7 @@ def _through(
     window: tuple[float, float, float, float],
 ) -> tuple[Camera, tuple[float, float, float, float]]:
     """The camera that the region looks through, and the edges of its own frame on the plane of `window`."""
-    data, ignored = camera.data, []
+    data, ignored = camera.data, list[str]()
     kind = kind_of(data, camera.name, ignored)
     render = scene.render
     size = (
@@ -153,9 +154,9 @@ def _through(
     return made, edges
 
 
-def _box_in(view: RegionView, edges: tuple[float, float, float, float]) -> Box:
-    """The border of `view`, in shares of what has these `edges`, in pixels of the region and cut by it."""
-    window, (x0, y0, x1, y1) = view.window, view.border
+def _box_in(view: RegionView, border: Edges, edges: Edges) -> Box:
+    """The `border` of `view`, in shares of what has these `edges`, in pixels of the region and cut by it."""
+    window, (x0, y0, x1, y1) = view.window, border
 
     def pixel(share: float, low: float, high: float, along: tuple[float, float], pixels: int) -> int:
         return min(max(round(_share(low + share * (high - low), along) * pixels), 0), pixels)

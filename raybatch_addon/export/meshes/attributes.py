@@ -183,7 +183,8 @@ def _rgba(value: Any) -> tuple[float, float, float, float] | None:
         plain = [float(each) for each in value]
     except (TypeError, ValueError):
         return None
-    return (*plain, *(0.0, 0.0, 0.0, 1.0)[len(plain) :])
+    red, green, blue, alpha = (*plain, *(0.0, 0.0, 0.0, 1.0)[len(plain) :])
+    return red, green, blue, alpha
 
 
 def object_value(

@@ -6,6 +6,7 @@ import functools
 from collections.abc import Callable, Hashable
 from dataclasses import replace
 from itertools import chain
+from typing import TypeAlias
 
 import bpy
 import numpy as np
@@ -31,12 +32,10 @@ from .random_numbers import random_of
 from .smoke import any_grids, smoke_domain
 from .volumes import export_volume
 
-# Instances between two checks for a cancelled export
-_CANCEL_INTERVAL = 256
-
+_CANCEL_INTERVAL = 256  # instances between two checks for a cancelled export
 _OBJECT_KINDS = {"OBJECT", "INSTANCER", OF_INSTANCER}  # kinds of attributes that belong to objects
-_Placed = bpy.types.DepsgraphObjectInstance
-_Object = bpy.types.Object
+_Placed: TypeAlias = bpy.types.DepsgraphObjectInstance
+_Object: TypeAlias = bpy.types.Object
 _SOLID_TYPES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
 
 
@@ -370,6 +369,7 @@ class PlacementCollector:
         if key not in self._visibilities:
             seen = Visibility(0)
             for ray in Visibility:
+                assert ray.name is not None  # a single bit
                 if getattr(obj, f"visible_{ray.name.lower()}"):
                     seen |= ray
             if original.indirect_only_get(view_layer=self.view_layer):

@@ -193,6 +193,7 @@ class MeshSource:
         return part.values
 
     def _uv_digest(self) -> bytes:
+        assert self._layer is not None, "the mesh has no UV map"
         digest = hashlib.sha1(usedforsecurity=False)
         _add(digest, self._layer.uv, "vector", np.float32, 2)
         return digest.digest()

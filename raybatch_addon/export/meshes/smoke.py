@@ -69,6 +69,7 @@ def smoke_grids(obj: bpy.types.Object, names: list[str], frame: int, label: str,
     They fill the box of the mesh's texture space, a value in the middle of each cell.
     """
     domain = smoke_domain(obj)
+    assert domain is not None, f"{label} is no domain"
     center, half = (np.array(each, float) for each in (obj.data.texspace_location, obj.data.texspace_size))
     found = []
     for name in sorted(set(names) & set(_GRIDS)):

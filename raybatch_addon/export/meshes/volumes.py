@@ -185,7 +185,8 @@ def _blocks(read, first: np.ndarray, last: np.ndarray, begin: np.ndarray) -> Ite
     counts = ((last - begin) // _BLOCK + 1).tolist()
     background = np.any(np.asarray(read.background) != 0)
     if background or math.prod(counts) * _BLOCK**3 <= _VOXELS_PER_STEP * read.activeVoxelCount():
-        return np.ndindex(*counts)
+        count_x, count_y, count_z = counts
+        return itertools.product(range(count_x), range(count_y), range(count_z))
     found = set()
     x, y, z = begin.tolist()
     for value in read.citerOnValues():
@@ -195,7 +196,8 @@ def _blocks(read, first: np.ndarray, last: np.ndarray, begin: np.ndarray) -> Ite
             found.add(key)
         else:
             ends = ((high[0] - x) // _BLOCK, (high[1] - y) // _BLOCK, (high[2] - z) // _BLOCK)
-            found.update(itertools.product(*(range(a, b + 1) for a, b in zip(key, ends))))
+            along_x, along_y, along_z = (range(a, b + 1) for a, b in zip(key, ends))
+            found.update(itertools.product(along_x, along_y, along_z))
     return sorted(found)
 
 

@@ -17,8 +17,8 @@ def object_steps(obj: bpy.types.Object, parent: bpy.types.Object | None) -> int:
 
     `parent`: the object that places it, which has a say too.
     """
-    settings = [getattr(each, "cycles", None) for each in (obj, parent) if each is not None]
-    settings = [each for each in settings if each is not None]
+    found = [getattr(each, "cycles", None) for each in (obj, parent) if each is not None]
+    settings = [each for each in found if each is not None]
     if not all(each.use_motion_blur for each in settings):
         return 0
     return (2 << (max([1, *(each.motion_steps for each in settings)]) - 1)) + 1

@@ -36,6 +36,7 @@ class Exposure:
         self._set(self.frame)
 
     def _set(self, frame: float) -> None:
+        assert self.view.engine is not None, "nobody sets the frame"
         whole = math.floor(frame)
         self.view.engine.frame_set(whole, frame - whole)
 
@@ -74,8 +75,10 @@ def neighbours(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer, view: Vi
 def export_shutter(scene: bpy.types.Scene) -> Shutter:
     """The shutter's curve, and how rows are exposed (a setting of Cycles)."""
     cycles = getattr(scene, "cycles", None)
-    rolls = cycles is not None and getattr(cycles, "rolling_shutter_type", "NONE") == "TOP"
-    return Shutter(_times(scene.render.motion_blur_shutter_curve), cycles.rolling_shutter_duration if rolls else None)
+    duration = None
+    if cycles is not None and getattr(cycles, "rolling_shutter_type", "NONE") == "TOP":
+        duration = cycles.rolling_shutter_duration
+    return Shutter(_times(scene.render.motion_blur_shutter_curve), duration)
 
 
 def _times(mapping: bpy.types.CurveMapping) -> np.ndarray | None:

@@ -19,6 +19,7 @@ from .objects import object_steps
 from .placed import placed_key
 from .shutter import Exposure
 
+CameraPlace = tuple[np.ndarray, tuple[float, float, float, float]]  # `Camera.transform` and `Camera.window`
 # Nothing that is elsewhere
 _NOWHERE = np.zeros(0, np.int32), np.zeros((0, 16), np.float32)
 
@@ -45,10 +46,10 @@ class MotionSteps:
                 self._first.append(i)
         self._first.append(len(placements.motion))
         self._positions: dict[int, list[tuple[np.ndarray, np.ndarray | None] | None]] = {}
-        self._cameras: list[Camera] = []
+        self._cameras: list[CameraPlace] = []
 
     def collect(
-        self, depsgraph: bpy.types.Depsgraph, camera_now: Callable[[], Camera], cancelled: Callable[[], bool]
+        self, depsgraph: bpy.types.Depsgraph, camera_now: Callable[[], CameraPlace], cancelled: Callable[[], bool]
     ) -> bool:
         """Go through all times, from the middle, where the scene is, on; False where `cancelled()`. The scene stays at
         the last of them. `camera_now` says how the camera is.
@@ -146,8 +147,10 @@ class MotionSteps:
         """`instances`, which move as they did. What is not there all the time stands still."""
         if self.count == 0 or len(instances) == 0:
             return instances
+        usable = self._placements.usable
+        assert usable is not None  # since the instances were made
         which = np.unique(np.concatenate([indices for indices, _ in self._elsewhere]))
-        which = which[self._always[which] & self._placements.usable[which]]
+        which = which[self._always[which] & usable[which]]
         maps = np.repeat(self._here[which, None], self.count, 1)
         for step, (indices, there) in enumerate(self._elsewhere):
             known = np.isin(indices, which)
@@ -161,7 +164,7 @@ class MotionSteps:
         for count in np.unique(steps).tolist():
             some = np.flatnonzero(steps == count)
             maps[some] = _with_steps(maps[some], count)
-        number = np.cumsum(self._placements.usable) - 1
+        number = np.cumsum(usable) - 1
         return replace(instances, motion=InstanceMaps(number[which].astype(np.int32), maps))
 
     def meshes(self) -> list[Mesh]:
@@ -171,14 +174,15 @@ class MotionSteps:
         for each in self._placements.motion:
             most[each.mesh] = max(most.get(each.mesh, 0), each.steps)
         for index, steps in self._positions.items():
-            if any(each is None for each in steps):
+            known = [each for each in steps if each is not None]
+            if len(known) < len(steps):
                 continue
-            positions, count = np.stack([each[0] for each in steps]), most[index]
+            positions, count = np.stack([each for each, _ in known]), most[index]
             if (positions == positions[:1]).all():
                 continue
             normals = None
             if found[index].corner_normals is not None:
-                normals = _lines(np.stack([each[1] for each in steps]), count)
+                normals = _lines(np.stack([each for _, each in known if each is not None]), count)
             found[index] = replace(found[index], motion=_lines(positions, count), motion_normals=normals)
         velocities = {each.mesh: each.velocity for each in self._placements.motion if each.steps}
         for index, velocity in velocities.items():

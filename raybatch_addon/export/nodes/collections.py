@@ -36,7 +36,7 @@ class Collections:
         self.asked: set[tuple[str, str]] = set()  # attributes that the current graph reads
         # what the current graph asked for: `image` with its key, `attribute` and `object_attribute` with their
         # arguments, and the answers; None: it depends on more than its nodes and these answers
-        self.record: list[tuple[str, tuple, float]] | None = []
+        self.record: list[tuple[str, Hashable, Any]] | None = []
         self.has_grids = False  # there are objects with grids, which volumes read as attributes
         self.view_layer: bpy.types.ViewLayer | None = None  # Blender's, whose properties graphs may read
         self.scene: bpy.types.Scene | None = None
@@ -96,7 +96,7 @@ class Collections:
         """Whether there are objects with grids."""
         return bool(self._noted("grids", (), int(self.has_grids)))
 
-    def _noted(self, kind: str, what: tuple, place: Any) -> Any:
+    def _noted(self, kind: str, what: Hashable, place: Any) -> Any:
         if self.record is not None:
             self.record.append((kind, what, place))
         return place

@@ -64,7 +64,9 @@ def compile_volume(socket, owner: bpy.types.ID, collections: Collections) -> tup
 def default_volume(collections: Collections) -> Volume:
     """What Blender takes volume objects without material to be: the default Principled Volume."""
     builder = VolumeBuilder(False, collections.grids())
-    density = builder.value("volume_attribute", collections.attribute("GEOMETRY", "density"), 1.0)[1]
+    found = builder.value("volume_attribute", collections.attribute("GEOMETRY", "density"), 1.0)
+    assert isinstance(found, tuple)  # a colour and a number
+    density = found[1]
     color = builder.value("splat", builder.value("math", MathOperation.MULTIPLY, False, density, 0.5, 0.0))
     builder.closure("volume_henyey_greenstein", color, 0.0)
     builder.closure("volume_absorption", color)

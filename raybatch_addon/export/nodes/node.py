@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
-from ...core.programs.builder import Constant, ProgramBuilder, Value
+from ...core.programs.builder import Constant, ProgramBuilder, Value, three_numbers
 from ...core.programs.ops.values.vector_math import VectorOperation
 from ...core.scene.description import ClosureKind
 from ...core.scene.notice import Notice
@@ -169,14 +169,12 @@ class Graph:
 
     def _viewport_color(self, node: Node, weight: Value, why: str) -> None:
         """Replace a shader by a surface or light of the viewport's colour."""
-        color = [
-            max(float(c), 0.0)
-            for c in getattr(self.owner, "diffuse_color", getattr(self.owner, "color", (0.8, 0.8, 0.8)))[:3]
-        ]
+        color = getattr(self.owner, "diffuse_color", getattr(self.owner, "color", (0.8, 0.8, 0.8)))
+        red, green, blue = (max(float(c), 0.0) for c in color[:3])
         if type(self.owner).__name__ in ("Material", "NoneType"):
             self.note(f"{node_label(node.node)} {why}; it is a diffuse surface in the viewport colour", node)
             self.kinds.add(ClosureKind.DIFFUSE)
-            node.closure("diffuse", node.times(weight, color), BLACK)
+            node.closure("diffuse", node.times(weight, (red, green, blue)), BLACK)
         else:
             self.note(f"{node_label(node.node)} {why}; it gives no light", node)
 
@@ -358,7 +356,7 @@ class Node:
         source, own = self.graph.source(socket, self.groups)
         if source is None:
             value, kind = (Value.of(0.0), socket.type) if own is None else (own_value(own), own.type)
-            through = ()
+            through: tuple[str, ...] = ()
         else:
             value, kind, through = self.graph.value(source), source.socket.type, source.through
         for step in (*through, socket.type):
@@ -380,11 +378,11 @@ class Node:
 
 def own_value(socket) -> Value:
     """The own value of an unlinked socket."""
-    value = getattr(socket, "default_value", 0.0)
+    value: Any = getattr(socket, "default_value", 0.0)
     if isinstance(value, str):
         return Value.of(0.0)
     if hasattr(value, "__len__"):
-        return Value.of((*(float(c) for c in value[:3]), 0.0, 0.0)[:3])
+        return Value.of(three_numbers(value))
     return Value.of(float(value))
 
 

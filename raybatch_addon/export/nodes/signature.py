@@ -82,7 +82,7 @@ class Signatures:
         )
 
     def _socket(self, socket: bpy.types.NodeSocket) -> tuple:
-        kind = type(socket)
+        kind: type = type(socket)
         read, stored = _socket_reader(kind)
         own = read(socket)
         if stored == "NONE":
@@ -95,7 +95,8 @@ class Signatures:
     def _struct(self, struct: Any, depth: int) -> tuple:
         if depth > _DEPTH_MOST:
             raise NoSignature
-        reader = _reader(type(struct))
+        kind: type = type(struct)
+        reader = _reader(kind)
         plain = reader.plain(struct) if reader.plain else ()
         arrays = reader.arrays(struct) if reader.arrays else ()
         inner: list[Any] = []
@@ -120,7 +121,7 @@ class Signatures:
 
 
 @functools.cache
-def _socket_reader(kind: type) -> tuple[Callable[[Any], tuple], str]:
+def _socket_reader(kind: type[bpy.types.NodeSocket]) -> tuple[Callable[[Any], tuple], str]:
     """What reads sockets of a type but for their values, and how these are stored: NONE, PLAIN, ARRAY or POINTER."""
     value = kind.bl_rna.properties.get("default_value")
     stored = "NONE"
@@ -132,7 +133,7 @@ def _socket_reader(kind: type) -> tuple[Callable[[Any], tuple], str]:
 
 
 @functools.cache
-def _reader(kind: type) -> _Reader:
+def _reader(kind: type[bpy.types.bpy_struct]) -> _Reader:
     skipped = set(_SKIPPED)
     if issubclass(kind, bpy.types.Node):
         skipped |= set(bpy.types.Node.bl_rna.properties.keys()) - set(_OF_NODES)

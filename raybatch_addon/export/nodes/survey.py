@@ -28,7 +28,7 @@ def surveyed(output, note: Callable[[str], None], links: SocketLinks) -> Survey:
     survey = Survey()
     animated = _Animated()
     seen = set()
-    waiting = [(output, ())]
+    waiting: list[tuple[Any, tuple[Any, ...]]] = [(output, ())]
     while waiting:
         node, groups = waiting.pop()
         key = (node.as_pointer(), *(group.as_pointer() for group in groups))

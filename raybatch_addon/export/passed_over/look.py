@@ -38,7 +38,7 @@ def with_light_looked_for(scene: Scene) -> Scene:
     """`scene`, with a notice first where nothing in it can give light."""
     shines = bool(scene.lights) or scene.world.program is not None or any(scene.world.radiance)
     emits = any(ClosureKind.EMISSION in material.kinds for material in scene.materials)
-    if shines or emits or any(_glows(each.volume) for each in (scene.world, *scene.materials)):
+    if shines or emits or any(map(_glows, [scene.world.volume, *(each.volume for each in scene.materials)])):
         return scene
     text = (
         "nothing gives light: there is no lamp, no world that shines and no material that emits; the picture is black"

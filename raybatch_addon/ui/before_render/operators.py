@@ -30,6 +30,7 @@ class RAYBATCH_OT_check_scene(_OfEngine, bpy.types.Operator):
         try:
             with unhidden(context.view_layer):
                 look = export_scene(context.evaluated_depsgraph_get(), view=View(is_look=True))
+            assert look is not None  # nobody cancels it
             exported = with_light_looked_for(look)
         except RayBatchError as error:
             self.report({"ERROR"}, f"RayBatch: {error}")

@@ -18,14 +18,14 @@ class RAYBATCH_RENDER_PT_compare(EnginePanel, bpy.types.Panel):
     def draw(self, context):
         layout = self.layout
         layout.operator(RAYBATCH_OT_render_in_new_slot.bl_idname, icon="RENDER_STILL")
-        found = known_renders()
-        if not found:
+        there, found = slots(), known_renders()
+        if there is None or not found:
             draw_lines(layout, context, ["Renders are listed here, to be shown side by side or one after another"])
             return
         newest = found[0][1]
         for index, each in found:
             column = layout.column(align=True)
-            is_shown = slots().active_index == index
+            is_shown = there.active_index == index
             text = f"Slot {index + 1}"
             button = column.operator(RAYBATCH_OT_show_slot.bl_idname, text=text, icon="IMAGE_DATA", depress=is_shown)
             button.slot = index

@@ -95,9 +95,9 @@ def next_slot() -> int | None:
 
 def take_next_slot() -> None:
     """The next render goes there."""
-    index = next_slot()
-    if index is not None:
-        slots().active_index = index
+    there, index = slots(), next_slot()
+    if there is not None and index is not None:
+        there.active_index = index
 
 
 class RAYBATCH_OT_render_in_new_slot(bpy.types.Operator):

@@ -22,11 +22,16 @@ LIVE_SECONDS, IDLE_SECONDS = 0.5, 1.0
 class Shown:
     """State that was drawn last, so that nothing is drawn twice; touched by the main thread alone."""
 
-    previews = None  # icons of the slots, and the plot in the panel
+    previews: bpy.utils.previews.ImagePreviewCollection | None = None  # icons of the slots, and the plot in the panel
     panels: dict[str, tuple] = {}  # what the plot in each editor's panel shows
     image: tuple | None = None  # what the image shows
     followed: tuple | None = None  # what panels last showed
     seen = False  # the panel is open somewhere
+
+
+def _previews() -> bpy.utils.previews.ImagePreviewCollection:
+    assert Shown.previews is not None, "the add-on is not enabled"
+    return Shown.previews
 
 
 def _state(scene: bpy.types.Scene) -> tuple:
@@ -48,7 +53,8 @@ def update_image(scene: bpy.types.Scene) -> bpy.types.Image:
 def panel_icon(scene: bpy.types.Scene, editor: int, edge: int, text_size: float) -> int:
     """The icon that is the plot in `editor`, `edge` pixels wide and high."""
     name = _icon_name(editor)
-    preview = Shown.previews[name] if name in Shown.previews else Shown.previews.new(name)
+    previews = _previews()
+    preview = previews[name] if name in previews else previews.new(name)
     state = (*_state(scene), edge, text_size)
     if Shown.panels.get(name) != state:
         write_preview(preview, draw_plot(store.runs(), chosen_target(scene), edge, edge, text_size))
@@ -63,15 +69,16 @@ def _icon_name(editor: int) -> str:
 def slot_icon(slot: int) -> int:
     """A square in the colour of a slot."""
     name = f"slot {slot}"
-    if name not in Shown.previews:
-        preview = Shown.previews.new(name)
+    previews = _previews()
+    if name not in previews:
+        preview = previews.new(name)
         preview.icon_size = (16, 16)
         pixels = [(0.0, 0.0, 0.0, 0.0)] * 256
         for i in range(256):
             if 3 <= i % 16 < 13 and 3 <= i // 16 < 13:
                 pixels[i] = (*SLOT_COLORS[slot % len(SLOT_COLORS)], 1.0)
         preview.icon_pixels_float = [value for pixel in pixels for value in pixel]
-    return Shown.previews[name].icon_id
+    return previews[name].icon_id
 
 
 def _is_busy() -> bool:
@@ -118,7 +125,7 @@ def _show_again(areas: list[bpy.types.Area]) -> None:
         for region in area.regions
     }
     for name in Shown.panels.keys() - there:
-        del Shown.previews[name], Shown.panels[name]
+        del _previews()[name], Shown.panels[name]
 
 
 @bpy.app.handlers.persistent

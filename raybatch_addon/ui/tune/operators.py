@@ -67,7 +67,9 @@ class RAYBATCH_OT_take_fastest(bpy.types.Operator):
     def execute(self, context):
         from ...blender import tuning
 
-        for name, value in tuning.last_tuned().tuning.best.changes.items():
+        found = tuning.last_tuned()
+        assert found is not None and found.tuning.best is not None  # as `poll` found
+        for name, value in found.tuning.best.changes.items():
             assign_setting(context.scene.raybatch, name, value)
         return {"FINISHED"}
 

@@ -81,7 +81,8 @@ def picture(
         found = MEAN * random.gamma(more, size=sums.shape) + value * random.binomial(more, probability, sums.shape)
         sums += np.where(active, found, 0.0)
         counts[active] = done = end
-        noise = sample_noise(*(sums / (counts / 2)), counts)
+        one, other = sums / (counts / 2)
+        noise = sample_noise(one, other, counts)
         active &= ~(rule(noise) < threshold**2 * done)
     return float((sums.sum(0) / counts).mean()), float(counts.mean())
 

@@ -60,8 +60,9 @@ def world(kind: str, sampling_size: int) -> tuple[World, tuple[Image, ...]]:
     """A world that shows `sky(kind)`."""
     builder = ProgramBuilder()
     projection = int(EnvironmentProjection.EQUIRECTANGULAR)
-    color, _ = builder.value("environment", 0, int(Interpolation.LINEAR), projection, 0, builder.value("position", 0))
-    builder.closure("emission", color)
+    found = builder.value("environment", 0, int(Interpolation.LINEAR), projection, 0, builder.value("position", 0))
+    assert isinstance(found, tuple)  # colour and alpha
+    builder.closure("emission", found[0])
     return World(program=builder.finish(), sampling_size=sampling_size), (Image(f"{kind} sky", sky(kind)),)
 
 

@@ -55,8 +55,9 @@ def checkerboard() -> Scene:
     """A plane of black and white squares of half a metre, up to the horizon, which shines by itself."""
     builder = ProgramBuilder()
     place = (0, Interpolation.LINEAR, Extension.REPEAT, Projection.FLAT, 0)
-    color, _ = builder.value("image", *place, builder.value("uv", -1, 0))
-    builder.closure("emission", color)
+    found = builder.value("image", *place, builder.value("uv", -1, 0))
+    assert isinstance(found, tuple)  # colour and alpha
+    builder.closure("emission", found[0])
     far = 1000.0
     corners = np.array([[-far, -far], [far, -far], [far, far], [-far, far]], np.float32)
     triangles = np.array([[0, 1, 2], [0, 2, 3]], np.int32)

@@ -52,11 +52,10 @@ def draw(reports: dict[str, Report], folder: Path) -> None:
                 for r in reports.values()
             ]
             for color, (source, found) in zip(COLORS, sources, strict=False):
-                for storage, style in (
-                    (("DIRECT", "o-"), ("INDIRECT", "^--")) if name == "queue_size" else ((None, "o-"),)
-                ):
+                styles = {"DIRECT": "o-", "INDIRECT": "^--"} if name == "queue_size" else {"": "o-"}
+                for storage, style in styles.items():
                     mine = sorted(
-                        (p[-1], s) for p, s in found.items() if p[0] == scene and (storage is None or p[1] == storage)
+                        (p[-1], s) for p, s in found.items() if p[0] == scene and (not storage or p[1] == storage)
                     )
                     if mine:
                         best = min(s for p, s in found.items() if p[0] == scene)

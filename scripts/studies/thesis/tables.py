@@ -124,7 +124,7 @@ def _summary_table(reports: dict[str, Report], theirs: dict[str, Any]) -> str:
             ours = {p: s for p, (s, _) in seconds_by_key(report, "initial").items() if p[0] == scene and s is not None}
             if not ours:
                 continue
-            key = min(ours, key=ours.get)
+            key = min(ours, key=lambda each: ours[each])
             control = control_seconds(report, scene)
             edge = next(row["edge"] for row in report["rows"] if "edge" in row)
             slower = number(max(ours.values()) / ours[key])

@@ -5,6 +5,7 @@ written with other links.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -17,13 +18,14 @@ too.
 """
 
 _BYTES = np.arange(256)
-_BIT_COUNT = sum(_BYTES >> bit & 1 for bit in range(8)).astype(np.uint8)
+_BIT_COUNT = (_BYTES[:, None] >> np.arange(8) & 1).sum(1).astype(np.uint8)
 # QUANTISED: triangles of a leaf by its meta byte; 0 for an inner node (offset 24 .. 31, count 1) and an empty slot
 _META_TRIANGLES = np.where(_BYTES & 0xF8 == 0x38, 0, _BIT_COUNT[_BYTES >> 5]).astype(np.uint8)
 _AREA_SLICE = 1 << 17  # nodes whose boxes are decoded at a time
 
 
-class Links(NamedTuple):
+@dataclass(frozen=True)
+class Links:
     """The links of nodes, without their boxes. A run is a leaf (BOXES) or all leaves of a node (QUANTISED)."""
 
     count: np.ndarray  # int64, shape [n]: inner children of each node

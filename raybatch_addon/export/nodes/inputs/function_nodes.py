@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ....core.programs.builder import Constant
+from ....core.programs.builder import Constant, three_numbers
 from ..node import Node
 from ..registry import values
 
@@ -10,7 +10,7 @@ from ..registry import values
 @values("FunctionNodeInputVector", family="Inputs")
 def vector(node: Node) -> Constant:
     """The first three of a vector's one to four numbers."""
-    return (*(float(c) for c in node.node.vector[:3]), 0.0, 0.0)[:3]
+    return three_numbers(node.node.vector)
 
 
 @values("FunctionNodeInputInt", family="Inputs")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ....core.programs.builder import Value
+from ....core.programs.builder import Constant, Value
 from ....core.programs.ops.inputs.bump import NormalSpace
 from ....core.programs.ops.values.math import MathOperation
 from ....core.programs.ops.values.spaces import Space, VectorKind
@@ -91,7 +91,7 @@ def vector_displacement(node: Node) -> Value:
     """A displacement along three axes: those of the world, of the object, or of tangent, normal and bitangent."""
     none = (0.0, 0.0, 0.0)
 
-    def maths(operation: VectorOperation, a: Value, b: Value = none) -> Value:
+    def maths(operation: VectorOperation, a: Value, b: Value | Constant = none) -> Value:
         return node.op("vector_math", operation, a, b, none, 0.0)[0]
 
     midlevel, scale = node.as_vector(node.number("Midlevel")), node.number("Scale")

@@ -27,7 +27,7 @@ def ambient_occlusion(node: Node) -> dict[str, Value]:
         return {"Color": color, "AO": node.constant(1.0)}
     distance = node.number("Distance")
     if not node.linked("Distance") and distance.number() == 0.0:
-        distance = node.graph.collections.occlusion_distance()
+        distance = node.constant(node.graph.collections.occlusion_distance())
     bits = INSIDE * node.node.inside | ONLY_LOCAL * node.node.only_local | node.node.samples << SAMPLES_SHIFT
     seen = node.op("ambient_occlusion", node.normal(), distance, bits, *_UNANSWERED)
     return {"Color": node.times(color, seen), "AO": seen}

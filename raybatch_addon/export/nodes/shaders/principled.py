@@ -134,7 +134,7 @@ def add_layers(node: Node, weight: Value, layers: Layers) -> None:
     through, weight = node.op("mix_weights", weight, layers.alpha)
     node.closure("transparent", through)
     if layers.sheen is not None:
-        weight = _add_sheen(node, weight, layers)
+        weight = _add_sheen(node, weight, layers, layers.sheen)
     if layers.coat is not None:
         coat = layers.coat
         coat_weight, weight, ior = node.op(
@@ -202,9 +202,9 @@ def add_layers(node: Node, weight: Value, layers: Layers) -> None:
         node.closure("rough_diffuse", weight, layers.base, layers.diffuse_roughness, layers.normal)
 
 
-def _add_sheen(node: Node, weight: Value, layers: Layers) -> Value:
+def _add_sheen(node: Node, weight: Value, layers: Layers, sheen: Sheen) -> Value:
     """Add fibres; returns the part of `weight` that they leave."""
-    sheen, coat = layers.sheen, layers.coat
+    coat = layers.coat
     coat_normal, share = (layers.normal, _NONE) if coat is None else (coat.normal, coat.weight)
     fibres, below, normal = node.op(
         "layer_sheen", weight, sheen.weight, sheen.tint, sheen.roughness, layers.normal, coat_normal, share
@@ -230,7 +230,9 @@ def layered_closures(layers: Layers) -> tuple[Closure, ...]:
     """The closures of `layers`, which are constants."""
     graph = Graph()
     add_layers(Node(graph, None), WHITE, layers)
-    return tuple(constant_closure(record) for record in graph.builder.constant_closures())
+    records = graph.builder.constant_closures()
+    assert records is not None  # of constants
+    return tuple(map(constant_closure, records))
 
 
 def _kinds(node: Node) -> set[ClosureKind]:
@@ -262,9 +264,9 @@ def _behind(node: Node) -> Value:
 def _coat(node: Node) -> Coat | None:
     if not node.used("Coat Weight"):
         return None
-    numbers = (node.number(f"Coat {name}") for name in ("Weight", "Roughness", "IOR"))
     normal = node.own_normal("Coat Normal") if node.linked("Coat Normal") else node.own_normal()
-    return Coat(*numbers, node.color("Coat Tint"), normal)
+    weight, roughness, ior = (node.number(f"Coat {name}") for name in ("Weight", "Roughness", "IOR"))
+    return Coat(weight, roughness, ior, node.color("Coat Tint"), normal)
 
 
 def _sheen(node: Node) -> Sheen | None:
