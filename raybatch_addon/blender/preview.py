@@ -17,7 +17,7 @@ from .sessions import preview_session
 
 # The general kernels of CPUs come with RayBatch, so that no preview waits for a compiler; nor does it take memory of a
 # GPU, or wait for one. Few samples: somebody turns a slider meanwhile.
-_SETTINGS = RenderSettings(
+PREVIEW_SETTINGS = RenderSettings(
     device="cpu", kernel_tier="GENERAL", batching="OFF", sample_count=128, time_limit=0.5, bounce_max=8, denoise="OFF"
 )
 
@@ -42,6 +42,6 @@ def _render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> N
     writer = ResultWriter(
         engine, depsgraph.view_layer.name, scene.frame.region[:2], exposure=exposure_of(depsgraph.scene)
     )
-    with preview_session(_SETTINGS, engine.test_break) as session:
+    with preview_session(PREVIEW_SETTINGS, engine.test_break) as session:
         if session is not None:
-            session.render(scene, _SETTINGS, on_tile=writer.write, cancelled=engine.test_break)
+            session.render(scene, PREVIEW_SETTINGS, on_tile=writer.write, cancelled=engine.test_break)

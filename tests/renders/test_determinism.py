@@ -1,6 +1,7 @@
 """The schedule changes time, never the image: films are equal bit for bit."""
 
 import dataclasses
+import functools
 import itertools
 import threading
 
@@ -212,7 +213,7 @@ def test_trees_of_the_other_layout_give_the_same_film(session, reference, monkey
     if splits == "ON" and on_device:
         pytest.skip("devices build without splits")
     build = scene_cache.build_scene_tree
-    monkeypatch.setattr(scene_cache, "build_scene_tree", lambda *arguments: build(*arguments, on_device=on_device))
+    monkeypatch.setattr(scene_cache, "build_scene_tree", functools.partial(build, on_device=on_device))
     monkeypatch.setattr(session, "layout", Layout.QUANTISED)
     film = session.render(scenes.mixed(), SETTINGS.replace(spatial_splits=splits))
     assert film.statistics["tree"]["layout"] == "quantised"

@@ -31,7 +31,7 @@ from .stages.work import ShadingStage
 VARIABLE = "RAYBATCH_KERNEL_TIER"
 TIERS = ("AUTO", "GENERAL", "SPECIALISED")
 # Programs that need more registers or closures are left to specialised kernels
-_REGISTERS_MOST, _CLOSURES_MOST = 64, 16
+_REGISTERS_MOST, GENERAL_CLOSURES_MOST = 64, 16
 
 # Closures whose code few scenes would use
 _LEFT_OUT = {ClosureKind.FACET_HAIR}
@@ -42,7 +42,7 @@ _PASSES_LEFT_OUT = {OCCLUSION_PASS}
 
 
 def _programs(ops: Iterable[str]) -> ProgramFeatures:
-    return ProgramFeatures(tuple(ops), _REGISTERS_MOST, _CLOSURES_MOST, apart=True)
+    return ProgramFeatures(tuple(ops), _REGISTERS_MOST, GENERAL_CLOSURES_MOST, apart=True)
 
 
 def general_features(device: wp.Device) -> SceneFeatures:
@@ -63,7 +63,7 @@ def _general_features(on_gpu: bool) -> SceneFeatures:
         passes = [name for name in PASSES if name not in _PASSES_LEFT_OUT]
     return SceneFeatures(
         closures=tuple(sorted(kinds)),
-        closure_count=_CLOSURES_MOST,
+        closure_count=GENERAL_CLOSURES_MOST,
         programs=programs if on_gpu else dataclasses.replace(programs, answer_count=1),
         request_program=ProgramFeatures() if on_gpu else programs,
         world_program=programs,
@@ -124,8 +124,8 @@ def why_not_general(features: SceneFeatures, device: wp.Device) -> str:
         if why := lack_of(programs, there):
             return why
         closure_count = max(closure_count, programs.closure_count)
-    if closure_count > _CLOSURES_MOST:
-        return f"general kernels have room for {_CLOSURES_MOST} closures, and a material has more"
+    if closure_count > GENERAL_CLOSURES_MOST:
+        return f"general kernels have room for {GENERAL_CLOSURES_MOST} closures, and a material has more"
     return ""
 
 

@@ -30,7 +30,7 @@ def ball(color) -> "bpy.types.Material":
 
 @pytest.fixture(autouse=True)
 def short(monkeypatch):
-    monkeypatch.setattr(preview, "SETTINGS", preview.SETTINGS.replace(sample_count=4, time_limit=0.0))
+    monkeypatch.setattr(preview, "PREVIEW_SETTINGS", preview.PREVIEW_SETTINGS.replace(sample_count=4, time_limit=0.0))
 
 
 def test_previews_are_near_those_of_cycles(scene):
@@ -69,7 +69,10 @@ def test_a_preview_that_is_not_wanted_any_more_ends(scene, monkeypatch):
     rendered = []
     monkeypatch.setattr(sessions.Session, "render", lambda *_args, **options: rendered.append(options["cancelled"]()))
     stopped = types.SimpleNamespace(test_break=lambda: True, is_preview=True)
-    with sessions.session_for(preview.SETTINGS), sessions.preview_session(preview.SETTINGS, stopped.test_break) as own:
+    with (
+        sessions.session_for(preview.PREVIEW_SETTINGS),
+        sessions.preview_session(preview.PREVIEW_SETTINGS, stopped.test_break) as own,
+    ):
         assert own is None  # who lends the session keeps it, and nobody waits
     preview.render_preview(stopped, bpy.context.evaluated_depsgraph_get())
     assert rendered in ([], [True])
@@ -83,4 +86,4 @@ def test_an_error_gets_no_further_than_standard_error(scene, monkeypatch, capsys
 
 
 def test_previews_never_wait_for_a_compiler():
-    assert (preview.SETTINGS.device, preview.SETTINGS.kernel_tier) == ("cpu", "GENERAL")
+    assert (preview.PREVIEW_SETTINGS.device, preview.PREVIEW_SETTINGS.kernel_tier) == ("cpu", "GENERAL")

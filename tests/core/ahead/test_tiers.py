@@ -34,7 +34,7 @@ from raybatch_addon.core.wavefront.kernels import StageKernels, is_common, is_wi
 from raybatch_addon.core.wavefront.plan.plan import Method, TracingPlan
 from raybatch_addon.core.wavefront.stages.work import ShadingStage
 from raybatch_addon.core.wavefront.tier import (
-    CLOSURES_MOST,
+    GENERAL_CLOSURES_MOST,
     VARIABLE,
     choose_tier,
     general_features,
@@ -238,12 +238,12 @@ def test_what_general_kernels_cannot_do_is_said():
     assert why_not(features) == ""
     assert "mis OFF" in why_not(replace(features, mis=False))
     assert "RANDOM" in why_not(replace(features, sample_sequence="RANDOM"))
-    assert "closures" in why_not(replace(features, closure_count=CLOSURES_MOST + 1)), "without programs"
+    assert "closures" in why_not(replace(features, closure_count=GENERAL_CLOSURES_MOST + 1)), "without programs"
     filtered = replace(features, programs=ProgramFeatures(("emission", "image_level")))
     assert "texture_filter FOOTPRINT" in why_not(filtered)
     unknown = replace(features, lamp_program=ProgramFeatures(("volume_mie",)))
     assert "no code for volume_mie" in why_not(unknown)
-    large = ProgramFeatures(("emission",), 16, 2 * CLOSURES_MOST)
+    large = ProgramFeatures(("emission",), 16, 2 * GENERAL_CLOSURES_MOST)
     assert "closures" in why_not(replace(features, world_program=large))
     session = Session(DEVICE)
     small = scenes.scene([(scenes.plane(), scenes.IDENTITY, scenes.diffuse())], world=0.5)
