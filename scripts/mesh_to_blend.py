@@ -1,8 +1,9 @@
 """Make a .blend of bare geometry, so that other engines can render it too. Needs bpy.
 
-python scripts/mesh_to_blend.py MESH.npz OUT.blend --camera ex,ey,ez,tx,ty,tz,fov [--up y]    under a sun and a constant
-world python scripts/mesh_to_blend.py MESH.npz OUT.blend --stage [--up y]    on a floor, under one area light, seen from
-the front
+python scripts/mesh_to_blend.py MESH.npz OUT.blend --camera ex,ey,ez,tx,ty,tz,fov [--up y]
+    under a sun and a constant world
+python scripts/mesh_to_blend.py MESH.npz OUT.blend --stage [--up y]
+    on a floor, under one area light, seen from the front
 
 MESH.npz holds `v` float32 [n, 3], `f` int32 [m, 3] and perhaps `m` [m], a material id a triangle (as
 `scripts/render.py` takes it). Everything is diffuse and white.
@@ -22,18 +23,20 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from lib.command import UsageError, exit_code
 
-# Errors of bad input, of files that cannot be written, and of Blender
-ERRORS = (UsageError, OSError, EOFError, ValueError, KeyError, IndexError, RuntimeError, zipfile.BadZipFile)
+ERRORS = (UsageError, OSError)
 
 
 def mesh_object(path: Path, up: str, drop: list[int], flat: bool) -> bpy.types.Object:
     """The geometry of `path` as an object, turned so that Blender's z is up, without the materials `drop`; normals are
     interpolated, but for `flat`.
     """
-    with np.load(path) as arrays:
-        v, f = arrays["v"].astype(np.float32), arrays["f"].astype(np.int32)
-        if drop:
-            f = f[~np.isin(arrays["m"], drop)]
+    try:
+        with np.load(path) as arrays:
+            v, f = arrays["v"].astype(np.float32), arrays["f"].astype(np.int32)
+            if drop:
+                f = f[~np.isin(arrays["m"], drop)]
+    except (EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+        raise UsageError(f"{path} holds no geometry: {error}") from error
     if up == "y":
         v = v[:, [0, 2, 1]] * np.array([1, -1, 1], np.float32)
     mesh = bpy.data.meshes.new(path.stem)
@@ -68,11 +71,12 @@ def point_camera(scene: bpy.types.Scene, eye: Vector, target: Vector, fov: float
 
 def under_the_sky(scene: bpy.types.Scene, given: argparse.Namespace) -> None:
     """A sun and a constant world, and the camera that was asked for."""
-    numbers = [float(n) for n in given.camera.split(",")]
-    if len(numbers) != 7:
-        raise UsageError("--camera takes seven numbers: ex,ey,ez,tx,ty,tz,fov_degrees")
+    try:
+        ex, ey, ez, tx, ty, tz, degrees = map(float, given.camera.split(","))
+    except ValueError as error:
+        raise UsageError("--camera takes seven numbers: ex,ey,ez,tx,ty,tz,fov_degrees") from error
     turn = Matrix(((1, 0, 0), (0, 0, -1), (0, 1, 0))) if given.up == "y" else Matrix.Identity(3)
-    point_camera(scene, turn @ Vector(numbers[:3]), turn @ Vector(numbers[3:6]), math.radians(numbers[6]))
+    point_camera(scene, turn @ Vector((ex, ey, ez)), turn @ Vector((tx, ty, tz)), math.radians(degrees))
     sun = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", "SUN"))
     sun.data.energy, sun.data.angle = given.sun, math.radians(1)
     sun.rotation_euler = (math.radians(15), math.radians(20), 0)
@@ -130,7 +134,10 @@ def run(given: argparse.Namespace) -> int:
     else:
         under_the_sky(scene, given)
     scene.render.resolution_x = scene.render.resolution_y = 1280
-    bpy.ops.wm.save_as_mainfile(filepath=str(given.out.resolve()))
+    try:
+        bpy.ops.wm.save_as_mainfile(filepath=str(given.out.resolve()))
+    except RuntimeError as error:  # as Blender reports what it cannot write
+        raise OSError(str(error).strip()) from error
     return 0
 
 

@@ -44,9 +44,10 @@ class Tile:
 
 class RenderObserver(Protocol):
     """Whoever watches a render. Observers derive from this class and define the methods that they need; all are called
-    on the thread that called `Session.render`. Each default returns in so many words: a checker of types takes an empty
-    method of a protocol for one that must be defined.
+    on the thread that called `Session.render`.
     """
+
+    # Defaults have a `return`: mypy takes a method of a protocol that has none for one that must be defined
 
     def on_tile(self, tile: Tile) -> None:
         """Receive a finished tile."""

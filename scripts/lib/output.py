@@ -14,8 +14,6 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, NoReturn
 
-import numpy as np
-
 from raybatch_addon.core.errors import RayBatchError
 from raybatch_addon.core.files import whole_file
 
@@ -129,6 +127,8 @@ def write_film(path: Path, films: list[tuple[str, Film]]) -> None:
     """Write the passes of the films of one frame, by view layer; those of the second on are called `layer/pass`, or
     `layer/view/pass` where there are several views.
     """
+    import numpy as np  # here alone: scripts that say that the environment is missing run without it
+
     arrays: dict[str, Any] = {}
     for number, (layer, film) in enumerate(films):
         for name, values in film.shown.items():

@@ -64,6 +64,7 @@ def table(data: list[dict[str, Any]]) -> str:
         )
     spreads = [Spread.of({each["scene"]: each[name] for each in data}) for name in (SLOPE, VARIANCE, EQUAL)]
     medians = [f"{each.median:.2f} ({each.low:.2f} to {each.high:.2f})" for each in spreads if each is not None]
+    assert len(medians) == len(spreads), "a table without scenes"
     worst = [f"{max(each[name] for each in data):.3g}" for name in (SLOPE, VARIANCE, EQUAL)]
     lines += [row(["**median**", "", "", "", *medians, "", ""]), row(["**worst**", "", "", "", *worst, "", ""])]
     return "\n".join(lines)

@@ -77,7 +77,7 @@ def test_any_schedule_gives_the_same_film(comparers, name, examples, fixed):
         if found.differs:
             pytest.fail(
                 f"schedule {number}: {found.differs}, region {found.region}, {comparer.simplest(found)} of "
-                f"{found.settings}"
+                f"{found.settings}; not drawn: {fixed}"
             )
     assert is_enough(), methods
 

@@ -1,8 +1,8 @@
 """Hashes of modules of kernels, kept by their identity, so that nobody has to hash their code again.
 
-It is kept beside the compiled kernels, in a file for each state of the sources, and shipped with those that are. It is
-only ever a shorter way to a hash: where it is damaged, lacks a module or names one that is not there, the code is
-hashed as if there were no such file.
+They are kept beside the compiled kernels, in a file for each state of the sources, and shipped with those that are. The
+file is only ever a shorter way to a hash: where it is damaged, lacks a module or names one that is not there, the code
+is hashed as if there were no such file.
 """
 
 from __future__ import annotations

@@ -182,7 +182,9 @@ class MotionSteps:
                 continue
             normals = None
             if found[index].corner_normals is not None:
-                normals = _lines(np.stack([each for _, each in known if each is not None]), count)
+                of_steps = [normal for _, normal in known if normal is not None]
+                assert len(of_steps) == len(known)  # since the mesh has normals of its own
+                normals = _lines(np.stack(of_steps), count)
             found[index] = replace(found[index], motion=_lines(positions, count), motion_normals=normals)
         velocities = {each.mesh: each.velocity for each in self._placements.motion if each.steps}
         for index, velocity in velocities.items():

@@ -37,8 +37,8 @@ from .binary import DEPTH_MAX, BinaryTree
 from .encode import ENCODE_BOXES, ENCODE_QUANTISED, as_vectors, place_groups_kernel, place_triangles_kernel
 
 
-class CollapseError(IntEnum):
-    """What a pass returns."""
+class CollapseOutcome(IntEnum):
+    """The outcome of a pass: why it ended without a tree, if it did."""
 
     NO_ERROR = 0
     LEAF_TOO_LARGE = 1
@@ -47,7 +47,7 @@ class CollapseError(IntEnum):
     TOO_MANY_LISTED = 4
 
 
-class Found(IntEnum):
+class PlanFigure(IntEnum):
     """Indices of the error and of the figures of a plan in `CollapseWork.found`."""
 
     ERROR = 0
@@ -59,14 +59,14 @@ class Found(IntEnum):
 
 
 _MESSAGES = {
-    CollapseError.LEAF_TOO_LARGE: "a leaf of the binary tree lists more than a leaf of this layout can",
-    CollapseError.CHILD_BEFORE_PARENT: "children of a binary node must come after it",
-    CollapseError.TOO_DEEP: "the binary tree is too deep",
-    CollapseError.TOO_MANY_LISTED: "leaves list more than indices of 32 bits can name",
+    CollapseOutcome.LEAF_TOO_LARGE: "a leaf of the binary tree lists more than a leaf of this layout can",
+    CollapseOutcome.CHILD_BEFORE_PARENT: "children of a binary node must come after it",
+    CollapseOutcome.TOO_DEEP: "the binary tree is too deep",
+    CollapseOutcome.TOO_MANY_LISTED: "leaves list more than indices of 32 bits can name",
 }
-_PLAN = {"DEPTH_MAX": DEPTH_MAX, **{each.name: each.value for each in (*CollapseError, *Found)}}
-_NO_ERROR = wp.constant(int(CollapseError.NO_ERROR))
-_ERROR, _NODE_COUNT = wp.constant(int(Found.ERROR)), wp.constant(int(Found.NODE_COUNT))
+_PLAN = {"DEPTH_MAX": DEPTH_MAX, **{each.name: each.value for each in (*CollapseOutcome, *PlanFigure)}}
+_NO_ERROR = wp.constant(int(CollapseOutcome.NO_ERROR))
+_ERROR, _NODE_COUNT = wp.constant(int(PlanFigure.ERROR)), wp.constant(int(PlanFigure.NODE_COUNT))
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ class CollapseWork:
     )  # shape [wide nodes or more, 16]: binary node of each slot or -1, then BOXES: the word of each child; QUANTISED:
     # first child, first triangle, meta (2 words), mask
     order: wp.array2d(dtype=int)  # what leaves list, shape [units or more, references of a unit]; -1 fills units up
-    found: wp.array(dtype=int)  # by `Found`
+    found: wp.array(dtype=int)  # by `PlanFigure`
     sah: wp.array(dtype=wp.float64)
 
 
@@ -259,7 +259,7 @@ def _start(binary: BinaryTree, layout: Layout, unit: int) -> CollapseWork:
     work.plan = _scratch((max(leaf_count - 1, 1), 16), int)
     work.order = _scratch((len(binary.references) // unit + leaf_count, unit), int)
     work.centre = wp.vec3(*_centre(binary.nodes[0]).tolist())
-    work.found = wp.zeros(len(Found), dtype=int, device="cpu")
+    work.found = wp.zeros(len(PlanFigure), dtype=int, device="cpu")
     work.sah = wp.zeros(1, dtype=wp.float64, device="cpu")
     return work
 
@@ -275,7 +275,7 @@ def _collapse(
     wp.launch(collapse_boxes_kernel if boxes else collapse_quantised_kernel, dim=1, inputs=[work], device="cpu")
     error, node_count, listed, depth, leaf_count, reference_count = work.found.numpy().tolist()
     if error:
-        raise ValueError(_MESSAGES[CollapseError(error)])
+        raise ValueError(_MESSAGES[CollapseOutcome(error)])
     nodes = aligned_empty((node_count, layout.node_words), layout.node_type)
     wp.launch(
         fill_boxes_kernel if boxes else fill_quantised_kernel, dim=1, inputs=[work, as_vectors(nodes)], device="cpu"

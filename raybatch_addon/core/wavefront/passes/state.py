@@ -134,10 +134,7 @@ def make_path_passes(
     device: wp.Device,
 ) -> PathPasses | None:
     """The state of `path_count` paths for the passes of `features`; None where they need none."""
-    asked = (features.records_surfaces, features.splits_light, features.guides, features.light_groups)
-    if not (any(asked) or features.occlusion_pass or shows_catchers(features.passes)):
-        if layout.others:
-            raise ValueError(f"passes {', '.join(layout.others)} are summed and nothing records them: see `_RECORDED`")
+    if not (features.records_surfaces or layout.others or shows_catchers(features.passes)):
         return None
 
     def first(name: str) -> int:

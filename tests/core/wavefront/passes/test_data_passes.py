@@ -8,7 +8,7 @@ import pytest
 from raybatch_addon.core.programs import ops  # noqa: F401  (registers ops)
 from raybatch_addon.core.programs.builder import ProgramBuilder
 from raybatch_addon.core.scene.description import CameraKind, Closure, ClosureKind, Frame
-from raybatch_addon.core.scene.passes import AOV_COLOR, AOV_VALUE
+from raybatch_addon.core.scene.passes import AOV_COLOR, AOV_VALUE, SUMMED_PASSES
 from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support import scenes
 
@@ -38,6 +38,18 @@ def test_mist_grows_with_the_distance(session, falloff, mist):
 def test_nothing_lies_in_the_densest_mist(session):
     scene = scenes.scene([], frame=Frame(4, 4, passes=("Combined", "Mist")))
     assert np.all(session.render(scene, SETTINGS).passes["Mist"] == 1)
+
+
+@pytest.mark.parametrize("name", SUMMED_PASSES)
+def test_each_pass_can_be_had_alone(session, name):
+    """Of a scene without surfaces, too."""
+    empty = scenes.scene([], frame=Frame(4, 4, passes=("Combined", name)), world=0.3)
+    film = session.render(empty, SETTINGS)
+    assert film.passes["Combined"][..., :3] == pytest.approx(0.3, abs=1e-6)
+    values = film.passes[name]
+    assert np.isfinite(values).all() and np.ptp(values, axis=(0, 1)).max() < 1e-6
+    seen = session.render(looking_down(scenes.diffuse(), passes=(name,)), SETTINGS)
+    assert np.isfinite(seen.passes[name]).all()
 
 
 def test_mist_counts_what_is_seen_through_a_veil(session):
