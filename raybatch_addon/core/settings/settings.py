@@ -129,7 +129,7 @@ class RenderSettings(
 
 def keeps_halves(settings: Any) -> bool:
     """Whether samples come in two halves, so that the error is estimated; of settings, or of properties named alike."""
-    return settings.is_on("error_estimate") or settings.error_target > 0 or settings.is_on("adaptive_sampling")
+    return settings.error_estimate == "ON" or settings.error_target > 0 or settings.adaptive_sampling == "ON"
 
 
 def block_registers(register_cap: int, block_size: int) -> int:
