@@ -1,10 +1,11 @@
-"""Run cases of tests/stability in this process: python scripts/testing/run_cases.py DEVICE NAME [NAME ...]
+"""Run cases of tests/stability in this process: run_cases.py [--tracer=off|on|-] DEVICE NAME [NAME ...]
 
 A line for each case and tracer is written as `outcomes` says. The exit code is 1 if one fails.
 """
 
 from __future__ import annotations
 
+import argparse
 import sys
 from pathlib import Path
 
@@ -16,13 +17,18 @@ from testing.outcomes import FAILED, PASSED, SKIPPED, CheckOutcome, write_outcom
 
 def main(arguments: list[str]) -> int:
     """The exit code."""
-    from tests.stability.cases import Result, all_cases, run_cases
+    from tests.stability.cases import TRACERS, Result, all_cases, run_cases
     from tests.support.running.kernel_builds import build_once
 
-    device, *names = arguments
+    parser = argparse.ArgumentParser(prog="run_cases.py", allow_abbrev=False)
+    parser.add_argument("--tracer", choices=TRACERS)
+    parser.add_argument("device")
+    parser.add_argument("names", nargs="+")
+    given = parser.parse_args(arguments)
     build_once()
     failed = False
-    for event in run_cases([each for each in all_cases() if each.name in names], device):
+    cases = [each for each in all_cases() if each.name in given.names]
+    for event in run_cases(cases, given.device, [given.tracer] if given.tracer else TRACERS):
         if isinstance(event, Result):
             outcome = SKIPPED if event.skipped is not None else PASSED if event.passed else FAILED
             found = event.outcome

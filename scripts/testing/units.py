@@ -25,6 +25,7 @@ STORED = Path(__file__).with_name("gpu_seconds.json")
 FOLDERS = ("tests/core", "tests/renders")
 UNIT_SECONDS = 20.0  # about what a unit takes, in one process
 CASE_SECONDS = 4.0  # of a case with all its tracers that was never timed
+TRACER_SECONDS = 100.0  # of a case from which on each of its tracers is a unit
 
 
 @dataclass(frozen=True)
@@ -36,11 +37,13 @@ class Unit:
     files: tuple[str, ...] = ()  # of tests
     share: str = "1/1"  # of their tests
     cases: tuple[str, ...] = ()
+    tracer: str = ""  # of cases; empty: each
 
     def command(self, device: str) -> list[str]:
         """The process."""
         if self.cases:
-            return [sys.executable, str(Path(__file__).with_name("run_cases.py")), device, *self.cases]
+            tracer = [f"--tracer={self.tracer}"] if self.tracer else []
+            return [sys.executable, str(Path(__file__).with_name("run_cases.py")), *tracer, device, *self.cases]
         options = ["-p", "testing.outcomes", "-p", "no:cacheprovider"]
         return [sys.executable, "-m", "pytest", *options, *self.files]
 
@@ -83,11 +86,17 @@ def _file_units(seconds: dict[str, float]) -> list[Unit]:
 
 
 def _case_units(module: str, cases: Sequence[Case], stored: dict[str, float]) -> list[Unit]:
-    groups = _groups({each.name: stored.get(each.name, CASE_SECONDS) for each in cases})
-    return [
-        Unit(f"cases of {module} {number}/{len(groups)}", seconds, cases=tuple(names))
-        for number, (names, seconds) in enumerate(groups, 1)
+    seconds = {each.name: stored.get(each.name, CASE_SECONDS) for each in cases}
+    long = [each for each in cases if seconds[each.name] >= TRACER_SECONDS and each.traces]
+    groups = _groups({each.name: seconds[each.name] for each in cases if each not in long})
+    units = [
+        Unit(f"cases of {module} {number}/{len(groups)}", taken, cases=tuple(names))
+        for number, (names, taken) in enumerate(groups, 1)
     ]
+    for each in long:  # batched it may take most of the time
+        share = seconds[each.name] / len(each.tracers)
+        units += [Unit(f"{each.name} ({it})", share, cases=(each.name,), tracer=it) for it in each.tracers]
+    return units
 
 
 def _groups(seconds: dict[str, float]) -> list[tuple[list[str], float]]:

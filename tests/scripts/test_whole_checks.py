@@ -37,8 +37,12 @@ def test_units_hold_every_file_and_every_case_once(units):
     files = sorted(path.relative_to(ROOT).as_posix() for f in FOLDERS for path in (ROOT / f).rglob("test_*.py"))
     whole = [(file, unit.share) for unit in units for file in unit.files]
     assert len(set(whole)) == len(whole) and sorted({file for file, _ in whole}) == files
-    cases = [name for unit in units for name in unit.cases]
-    assert sorted(cases) == sorted(each.name for each in all_cases())
+    tracers = {each.name: each.tracers for each in all_cases()}
+    cases = [
+        (name, it) for unit in units for name in unit.cases for it in ([unit.tracer] if unit.tracer else tracers[name])
+    ]
+    assert sorted(cases) == sorted((name, it) for name in tracers for it in tracers[name])
+    assert any(unit.tracer for unit in units), "no case is cut by its tracers any more"
 
 
 def test_shares_are_the_whole():
@@ -65,7 +69,7 @@ def test_what_was_run_is_in_the_report_however_it_ended(tmp_path):
     assert row["failures"] == ["fails without a word"] and "1 of 3 units did not end" in row["about"]
     path = tmp_path / "report.json"
     path.write_text(json.dumps(report))
-    assert seconds_in([path]) == {"a": 6.0}
+    assert seconds_in([path]) == {"a": 2.0}, "of the unit that ended"
 
 
 def test_a_line_that_is_half_written_is_left_out(tmp_path):

@@ -17,6 +17,7 @@ from tests.support.running.kernel_builds import BUILDS
 
 # families in the order of the report; others follow by name
 FAMILIES = ("scale", "geometry", "transforms", "leaks", "lights", "materials", "transport", "numbers", "scheduling")
+TRACERS = ("off", "on", "-")  # unbatched, batched; -: where the tracer does not matter
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,7 @@ def run_case(case: Case, bench: Bench) -> Result:
 def run_cases(
     cases: Iterable[Case],
     device: str,
-    tracers: Iterable[str] = ("off", "on", "-"),
+    tracers: Iterable[str] = TRACERS,
     cache_folder: str | None = None,
     leak_rays: int = 0,
 ) -> Iterator[Any]:
@@ -123,7 +124,7 @@ def run_cases(
     """
     session, tracers = Session(device, cache_folder=cache_folder), tuple(tracers)
     try:
-        benches = {tracer: Bench(device, tracer, session, leak_rays) for tracer in ("off", "on", "-")}
+        benches = {tracer: Bench(device, tracer, session, leak_rays) for tracer in TRACERS}
         for each in cases:
             for tracer in each.tracers:
                 if tracer in tracers:
