@@ -95,7 +95,7 @@ def _case_units(module: str, cases: Sequence[Case], stored: dict[str, float]) ->
     ]
     for each in long:  # batched it may take most of the time
         share = seconds[each.name] / len(each.tracers)
-        units += [Unit(f"{each.name} ({it})", share, cases=(each.name,), tracer=it) for it in each.tracers]
+        units += [Unit(f"{each.name} ({tracer})", share, cases=(each.name,), tracer=tracer) for tracer in each.tracers]
     return units
 
 

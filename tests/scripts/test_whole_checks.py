@@ -39,9 +39,12 @@ def test_units_hold_every_file_and_every_case_once(units):
     assert len(set(whole)) == len(whole) and sorted({file for file, _ in whole}) == files
     tracers = {each.name: each.tracers for each in all_cases()}
     cases = [
-        (name, it) for unit in units for name in unit.cases for it in ([unit.tracer] if unit.tracer else tracers[name])
+        (name, tracer)
+        for unit in units
+        for name in unit.cases
+        for tracer in ([unit.tracer] if unit.tracer else tracers[name])
     ]
-    assert sorted(cases) == sorted((name, it) for name in tracers for it in tracers[name])
+    assert sorted(cases) == sorted((name, tracer) for name in tracers for tracer in tracers[name])
     assert any(unit.tracer for unit in units), "no case is cut by its tracers any more"
 
 
