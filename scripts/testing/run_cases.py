@@ -1,4 +1,6 @@
-"""Run cases of tests/stability in this process: run_cases.py [--tracer=off|on|-] DEVICE NAME [NAME ...]
+"""Run cases of tests/stability in this process.
+
+run_cases.py [--tracer=off|on|-] DEVICE NAME [NAME ...]
 
 A line for each case and tracer is written as `outcomes` says. The exit code is 1 if one fails.
 """
