@@ -11,7 +11,7 @@ from tests.support.running.kernel_builds import build_once
 from tests.support.under_test import DEVICE
 
 pytest_plugins = ["tests.support.running.run_seconds"]
-FAST_SECONDS = 6.0  # a file of tests that takes less is among the fast ones
+FAST_SECONDS = 3.0  # a file of tests that takes less is among the fast ones
 ALSO_FAST = ("test_architecture.py",)  # takes longer, but fails for what is easily mended
 
 # Compiled kernels stay in the clone, for this run's subprocesses and the next run alike
