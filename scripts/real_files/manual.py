@@ -143,9 +143,10 @@ def write_manual(root: Path, report: dict[str, Any], records: list[Record], slug
         if row["name"] not in about:
             continue  # somebody's own file: not for the manual
         row = dict(row)
-        record = by_name[row["name"]]
-        picture = where_both_are(record.pair("CYCLES"), record.pair("RAYBATCH"))
-        if picture is not None and may_be_shown(about[row["name"]]):
+        record, picture = by_name[row["name"]], None
+        if may_be_shown(about[row["name"]]):
+            picture = where_both_are(record.pair("CYCLES"), record.pair("RAYBATCH"))
+        if picture is not None:
             row["picture"] = f"{slugs[row['name']]}.png"
             pictures.add(row["picture"])
             write_png(folder / row["picture"], picture)
@@ -156,15 +157,11 @@ def write_manual(root: Path, report: dict[str, Any], records: list[Record], slug
     named = {row["name"] for row in rows}
     old = [name for name in report["old"] if name in named]
     kept = report | {"files": rows, "summary": summary_of(rows), "old": old}
-    _write(folder / "results.json", json_text(kept) + "\n")
-    _write(root / PAGE, with_findings(kept, listing))
+    write_text(folder / "results.json", json_text(kept) + "\n")
+    write_text(root / PAGE, with_findings(kept, listing))
 
 
 def stored_page(root: Path) -> str:
     """The page as the stored results and the list make it."""
     report = json.loads((root / FOLDER / "results.json").read_text(encoding="utf-8"))
     return with_findings(report, read_listing(root / LISTING))
-
-
-def _write(path: Path, text: str) -> None:
-    write_text(path, text)
