@@ -111,6 +111,13 @@ def read_listing(listing: Path) -> list[dict[str, Any]]:
     return entries
 
 
+def names_that_differ(entries: list[dict[str, Any]]) -> set[str]:
+    """Names of the files of a list whose finding says which engine is right: their pictures differ, also where the
+    noise of a comparison hides it.
+    """
+    return {f"{each['repository']}/{each['path']}" for each in entries if each.get("finding", {}).get("right")}
+
+
 def may_be_shown(about: dict[str, Any]) -> bool:
     """Whether the licence allows pictures of the file in a document."""
     return SHOWN.fullmatch(about.get("licence", "")) is not None

@@ -20,6 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
 
 from lib.output import json_text, write_text
+from real_files.listing import names_that_differ, read_listing
 from real_files.measures import Spread
 from real_files.rows import BLACK, EQUAL, SAME, VARIANCE
 
@@ -27,6 +28,7 @@ from tables.marked_text import with_part, write_or_check
 
 PAGE = ROOT / "docs" / "studies" / "equal-error.md"
 DATA = ROOT / "docs" / "studies" / "data" / "equal-error.json"
+LISTING = ROOT / "docs" / "real-files.json"
 MARKS = "<!-- equal error: made by scripts/tables/equal_error_table.py -->", "<!-- end of equal error -->"
 TIME = "time"
 WIDTH = 160  # pixels: what the page takes for granted; others are stated
@@ -38,6 +40,7 @@ def kept(report: dict[str, Any]) -> dict[str, Any]:
     Cycles, a list with one for each repeat.
     """
     files = {}
+    differing = names_that_differ(read_listing(LISTING))
     for row in report["files"]:
         if not row.get("repeats", {}).get(EQUAL):
             continue
@@ -47,7 +50,7 @@ def kept(report: dict[str, Any]) -> dict[str, Any]:
             EQUAL: row["repeats"][EQUAL],
             TIME: [e / v if v else None for e, v in zip(row["repeats"][EQUAL], row["repeats"][VARIANCE], strict=True)],
             "seconds": {engine: seconds[engine].get("all-2") for engine in seconds},
-            "same": row["verdict"] in (SAME, BLACK),
+            "same": row["verdict"] in (SAME, BLACK) and row["name"] not in differing,
             "left_out": len(row["left_out"]),
         }
     request = report["request"]

@@ -18,9 +18,10 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
 
 from lib.output import json_text, write_text
+from real_files.listing import names_that_differ, read_listing
 from real_files.measures import Spread
 
-from tables.equal_error_table import PAGE, row
+from tables.equal_error_table import LISTING, PAGE, row
 from tables.marked_text import with_part, write_or_check
 
 DATA = ROOT / "docs" / "studies" / "data" / "equal-error-gpu.json"
@@ -44,7 +45,7 @@ def kept(report: dict[str, Any]) -> dict[str, Any]:
 
 
 def table(data: list[dict[str, Any]]) -> str:
-    """A line about the runs, each file, and the medians."""
+    """A line about the runs, each file, and the medians; files whose pictures differ are below, apart from them."""
     first = data[0]
     frame, counts = first["frame"], first["sample_counts"]
     cores = "with" if first["ray_tracing_cores"] else "without"
@@ -54,20 +55,28 @@ def table(data: list[dict[str, Any]]) -> str:
         f"{first['raybatch']['runs']} turns; Blender {versions['blender']}, Warp {versions['warp']}."
     )
     lines = [about, "", row(HEADS), row(["---"] * len(HEADS))]
-    for each in sorted(data, key=lambda found: found["scene"].lower()):
+    differing = names_that_differ(read_listing(LISTING))
+    same = [each for each in data if each["scene"] not in differing]
+    lines += _file_rows(same)
+    spreads = [Spread.of({each["scene"]: each[name] for each in same}) for name in (SLOPE, VARIANCE, EQUAL)]
+    medians = [f"{each.median:.2f} ({each.low:.2f} to {each.high:.2f})" for each in spreads if each is not None]
+    assert len(medians) == len(spreads), "a table without scenes"
+    worst = [f"{max(each[name] for each in same):.3g}" for name in (SLOPE, VARIANCE, EQUAL)]
+    lines += [row(["**median**", "", "", "", *medians, "", ""]), row(["**worst**", "", "", "", *worst, "", ""])]
+    lines += _file_rows([each for each in data if each["scene"] in differing], " (differs)")
+    return "\n".join(lines)
+
+
+def _file_rows(reports: list[dict[str, Any]], remark: str = "") -> list[str]:
+    lines = []
+    for each in sorted(reports, key=lambda found: found["scene"].lower()):
         own, peer = each["raybatch"], each["cycles"][each["peer"]]
         slopes = [f"{each['cycles'][kind]['ms_a_sample']:.3g}" if kind in each["cycles"] else "-" for kind in KINDS]
         ratios = [f"{each[name]:.3g}" for name in (SLOPE, VARIANCE, EQUAL)]
         fixed = f"{own['fixed_seconds']:.2f} / {peer['fixed_seconds']:.2f}"
-        lines.append(
-            row([each["scene"], f"{own['ms_a_sample']:.3g}", *slopes, *ratios, fixed, f"{each['mean_ratio']:.3f}"])
-        )
-    spreads = [Spread.of({each["scene"]: each[name] for each in data}) for name in (SLOPE, VARIANCE, EQUAL)]
-    medians = [f"{each.median:.2f} ({each.low:.2f} to {each.high:.2f})" for each in spreads if each is not None]
-    assert len(medians) == len(spreads), "a table without scenes"
-    worst = [f"{max(each[name] for each in data):.3g}" for name in (SLOPE, VARIANCE, EQUAL)]
-    lines += [row(["**median**", "", "", "", *medians, "", ""]), row(["**worst**", "", "", "", *worst, "", ""])]
-    return "\n".join(lines)
+        first = [each["scene"] + remark, f"{own['ms_a_sample']:.3g}"]
+        lines.append(row([*first, *slopes, *ratios, fixed, f"{each['mean_ratio']:.3f}"]))
+    return lines
 
 
 def updated(text: str) -> str:

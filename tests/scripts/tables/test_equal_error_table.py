@@ -2,6 +2,7 @@
 
 import json
 
+from real_files.listing import names_that_differ, read_listing
 from tables import equal_error_table
 
 
@@ -53,3 +54,11 @@ def test_medians_are_of_files_that_are_the_same_picture_and_the_worst_of_all_rep
     )
     assert "32 samples, own defaults: a busy machine" in page.read_text(encoding="utf-8")
     assert equal_error_table.main(["--check"]) == 0
+
+
+def test_a_file_known_to_differ_is_apart_where_noise_hides_it():
+    name = min(names_that_differ(read_listing(equal_error_table.LISTING)))
+    made = report(32, known=("same", [1.0]), other=("same", [1.0]))
+    made["files"][0]["name"] = name
+    files = equal_error_table.kept(made)["files"]
+    assert not files[name]["same"] and files["a/other.blend"]["same"]
