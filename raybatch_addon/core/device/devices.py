@@ -199,12 +199,16 @@ def memory_used(device: wp.Device) -> tuple[int, int]:
     return used, device_memory_peak(device)
 
 
+def _block_size(kernel: wp.Kernel, device: wp.Device) -> int:
+    return block_size_of(kernel) if device.is_cuda else 1
+
+
 def load_module(kernel: wp.Kernel, device: wp.Device, given_up: Callable[[], bool] | None = None) -> None:
     """Compile or load the module of `kernel`. Several threads may ask for one module: the first one loads it.
 
     Raises `DeviceError` where it cannot be compiled, and `CompileStoppedError` where `given_up` said so meanwhile.
     """
-    load(kernel.module, device, block_size_of(kernel) if device.is_cuda else 1, given_up)
+    load(kernel.module, device, _block_size(kernel, device), given_up)
 
 
 def is_compiled(kernel: wp.Kernel, device: wp.Device, at_once: bool = False) -> bool:
@@ -212,7 +216,7 @@ def is_compiled(kernel: wp.Kernel, device: wp.Device, at_once: bool = False) -> 
 
     `at_once`: only if that can be known without its code, which takes a tenth of a second or more.
     """
-    module, block_size = kernel.module, block_size_of(kernel) if device.is_cuda else 1
+    module, block_size = kernel.module, _block_size(kernel, device)
     if at_once and not is_known(module, block_size):
         return False
     return is_loaded(module, device, block_size) or find_files(module, device, block_size) is not None
@@ -220,7 +224,7 @@ def is_compiled(kernel: wp.Kernel, device: wp.Device, at_once: bool = False) -> 
 
 def shipped_target(kernel: wp.Kernel, device: wp.Device) -> str:
     """The target that the module of `kernel` was shipped for; empty where it is not a shipped one that is found."""
-    files = find_files(kernel.module, device, block_size_of(kernel) if device.is_cuda else 1)
+    files = find_files(kernel.module, device, _block_size(kernel, device))
     return files.target if files else ""
 
 
@@ -238,10 +242,12 @@ def load_kernels(
     from concurrent.futures import ThreadPoolExecutor, as_completed
 
     unique = {kernel.module.name: kernel for kernel in kernels}
-    with ThreadPoolExecutor(max_workers=min(4, os.cpu_count() or 1)) as pool:
-        tasks = [pool.submit(load_module, kernel, device, given_up) for kernel in unique.values()]
-        for done, task in enumerate(as_completed(tasks), 1):
-            task.result()
-            on_module(done, len(tasks))
+    lacking = [each for each in unique.values() if not is_loaded(each.module, device, _block_size(each, device))]
+    if lacking:  # else no thread is begun: a second render has all
+        with ThreadPoolExecutor(max_workers=min(4, os.cpu_count() or 1)) as pool:
+            tasks = [pool.submit(load_module, kernel, device, given_up) for kernel in lacking]
+            for done, task in enumerate(as_completed(tasks), len(unique) - len(lacking) + 1):
+                task.result()
+                on_module(done, len(unique))
     write_notes()
     return sorted(unique)

@@ -1,10 +1,12 @@
 """Inputs that ops read of the scene besides its triangles: transforms of objects, texture spaces, values at corners."""
 
+from collections.abc import Iterable
+
 import numpy as np
 import warp as wp
 
 from ..errors import SceneError
-from ..scene.description import CameraKind, Instances, Panorama, Scene
+from ..scene.description import CameraKind, Instances, Mesh, Panorama, Scene
 from ..scene.flatten import is_mirrored_where_baked
 from ..scene.geometry import mat34
 from ..shading.panorama import pixel_angle
@@ -88,6 +90,15 @@ def upload_inputs(scene: Scene, ops: tuple[str, ...], device: wp.Device) -> Inpu
     if "object_attribute" in ops and instances.attributes is not None:
         inputs.object_attributes = wp.array(np.asarray(instances.attributes, np.float32), dtype=wp.vec4, device=device)
     return inputs
+
+
+def corner_arrays(mesh: Mesh, ops: Iterable[str]) -> list[np.ndarray | None]:
+    """The values at corners of `mesh` that programs with `ops` read. What they do not read may change: Blender's
+    modifiers give UV maps whose last bits differ from evaluation to evaluation.
+    """
+    ops = set(ops)
+    uvs = mesh.corner_uvs if "uv" in ops else None
+    return [uvs, *(each.values for each in mesh.attributes if not _ATTRIBUTE_OPS.isdisjoint(ops))]
 
 
 def with_camera(inputs: InputData, scene: Scene) -> InputData:

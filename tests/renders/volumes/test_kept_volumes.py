@@ -65,6 +65,19 @@ def test_the_same_volumes_are_made_once(made):
     assert film(moved, session) != first and made == ["grid", "bounds"]
 
 
+def test_uv_maps_that_no_volume_reads_may_change(made):
+    session = Session(DEVICE)
+    scene = smoky()
+
+    def mapped(value):
+        uvs = np.full((len(scene.meshes[0].triangles), 3, 2), value, np.float32)
+        return dataclasses.replace(scene, meshes=(dataclasses.replace(scene.meshes[0], corner_uvs=uvs),))
+
+    first = film(mapped(0.25), session)
+    made.clear()
+    assert film(mapped(0.5), session) == first and made == []
+
+
 @pytest.mark.parametrize(
     "change, again", [("values", ["grid", "bounds"]), ("program", ["bounds"]), ("place", ["bounds"])]
 )

@@ -8,7 +8,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from ...device.bulk import digest_of
-from ...programs.inputs_data import CAMERA_OPS
+from ...programs.inputs_data import CAMERA_OPS, corner_arrays
 from ...programs.op import op_named
 from ...scene.description import Image, Material, Scene
 from ...scene.features import scene_volumes
@@ -44,8 +44,8 @@ def inputs_key(scene: Scene, ops: Sequence[str], device: str) -> tuple[list[np.n
     """What the inputs of programs with `ops` follow from (`upload_inputs`), but for the camera: arrays and values."""
     arrays: list[np.ndarray | None] = []
     for mesh in scene.meshes:
-        arrays += [mesh.positions, mesh.triangles, mesh.triangle_slot, mesh.corner_uvs, mesh.base_positions]
-        arrays += [attribute.values for attribute in mesh.attributes]
+        arrays += [mesh.positions, mesh.triangles, mesh.triangle_slot, mesh.base_positions]
+        arrays += corner_arrays(mesh, ops)
     instances = scene.instances
     placed = [instances.mesh, instances.transform, instances.slot_first, scene.slot_materials]
     placed += [each for each in (instances.info, instances.attributes) if each is not None]
