@@ -176,16 +176,17 @@ class CutStrands:
     def _origin(self) -> tuple[np.ndarray, np.ndarray]:
         return self._origin_of(0, len(self.strands.points))
 
-    def mesh(self, name: str, uvs: np.ndarray | None = None) -> Mesh:
-        """The mesh of all segments; `uvs`: UV coordinates of each strand, float32, shape [strand_count, 2]."""
+    def mesh(self, name: str) -> Mesh:
+        """The mesh of all segments."""
         positions, radii = self.strands.points, self.strands.radii
         if self._is_cut:
             positions, radii = self._vertices()
-        mesh = Mesh(name, positions, self.segments, radii=radii, ribbons=self.shape.ribbons)
-        if uvs is not None:
-            of_segment = uvs[self.vertex_strand[self.segments[:, 0]]]
-            mesh = replace(mesh, corner_uvs=np.repeat(of_segment[:, None], 3, 1))
-        return mesh
+        return Mesh(name, positions, self.segments, radii=radii, ribbons=self.shape.ribbons)
+
+    def corner_uvs(self, uvs: np.ndarray) -> np.ndarray:
+        """UV coordinates as in `Mesh.corner_uvs`, from those of each strand, float32, shape [strand_count, 2]."""
+        of_segment = uvs[self.vertex_strand[self.segments[:, 0]]]
+        return np.repeat(of_segment[:, None], 3, 1)
 
     @property
     def _is_cut(self) -> bool:

@@ -95,7 +95,7 @@ _is_aside = False
 
 def mesh_arrays(mesh: Mesh) -> list[np.ndarray]:
     """All arrays of `mesh`."""
-    own = (mesh.positions, mesh.triangles, mesh.triangle_slot, mesh.corner_normals, mesh.corner_uvs)
+    own = (mesh.positions, mesh.triangles, mesh.triangle_slot, mesh.corner_normals, mesh.corner_uvs, mesh.radii)
     return [each for each in own if each is not None] + [each.values for each in mesh.attributes]
 
 
@@ -150,6 +150,31 @@ def use_again(shape: bytes) -> None:
         kept.use_all()
 
 
+def kept_mesh(digest: bytes, place: tuple, make: Callable[[], Mesh]) -> Mesh:
+    """The mesh of that digest, without UV map and attributes, as an earlier export made it, else as `make` does.
+    `place` is what stays the same where the mesh changes.
+    """
+    kept = _kept.get(digest)
+    if kept is None:
+        _make_room(place, digest)
+        mesh = make()
+        for array in mesh_arrays(mesh):
+            freeze(array)
+        kept = _kept[digest] = _Kept(mesh)
+    kept.use()
+    return kept.mesh
+
+
+def kept_uvs(digest: bytes, key: bytes, make: Callable[[], np.ndarray]) -> np.ndarray:
+    """The UV map by `key` of the kept mesh of that digest, as an earlier export made it, else as `make` does."""
+    kept = _kept[digest]
+    part = kept.part((key,))
+    if part is None:
+        part = Attribute("UV", "", make())
+        kept.keep((key,), part)
+    return part.values
+
+
 class MeshSource:
     """A mesh of Blender's, evaluated, as often as the export asks for it or for more of its attributes."""
 
@@ -182,15 +207,10 @@ class MeshSource:
             if mesh.corner_uvs is not None:
                 kept.keep((self._uv_digest(),), Attribute("UV", "", mesh.corner_uvs))
         kept.use()
-        return replace(kept.mesh, corner_uvs=self._uvs(kept) if self._layer is not None else None)
+        return replace(kept.mesh, corner_uvs=self._uvs() if self._layer is not None else None)
 
-    def _uvs(self, kept: _Kept) -> np.ndarray:
-        key = (self._uv_digest(),)
-        part = kept.part(key)
-        if part is None:
-            part = Attribute("UV", "", MeshArrays(self._mesh).uvs(self._layer))
-            kept.keep(key, part)
-        return part.values
+    def _uvs(self) -> np.ndarray:
+        return kept_uvs(self._shape, self._uv_digest(), lambda: MeshArrays(self._mesh).uvs(self._layer))
 
     def _uv_digest(self) -> bytes:
         assert self._layer is not None, "the mesh has no UV map"
