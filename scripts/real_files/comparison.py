@@ -21,7 +21,7 @@ from real_files.manual import write_manual
 from real_files.page import html_page
 from real_files.process import COLD, ProcessOutcome, run_process
 from real_files.records import ENGINES, Record, Records
-from real_files.rows import DIFFERS, FAILED, SAME, row_of, summary_of
+from real_files.rows import DIFFERS, FAILED, SAME, VARIANCE, row_of, summary_of
 from real_files.tables import counted, notes_of_old, remarks, summary_rows
 from real_files.worker import PICTURES, SOURCES
 
@@ -188,8 +188,7 @@ def _versions(records: list[Record]) -> dict[str, str]:
 def _text(report: dict[str, Any], folder: Path) -> str:
     lines = [counted(report["summary"]), *notes_of_old(report)]
     for name, ratio, interval, worst, worst_of, *_ in summary_rows(report["summary"]):
-        lines.append(
-            f"{name}: RayBatch takes {ratio} times as long as Cycles ({interval}), at worst {worst} ({worst_of})"
-        )
+        compared = f"has {ratio} times that of" if name == VARIANCE else f"takes {ratio} times as long as"
+        lines.append(f"{name}: RayBatch {compared} Cycles ({interval}), at worst {worst} ({worst_of})")
     lines.append(f"{folder / 'report.html'}")
     return "\n".join(lines)

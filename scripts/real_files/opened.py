@@ -117,7 +117,7 @@ class OpenFile:
         render.engine = self.engine
         render.resolution_x, render.resolution_y = size or self.size
         scene.raybatch.sample_count, scene.raybatch.seed = samples, seed
-        if self.engine == CYCLES:
+        if hasattr(scene, "cycles"):  # for RayBatch too, which would report that they differ
             scene.cycles.samples, scene.cycles.seed = samples, seed
         with tempfile.TemporaryDirectory() as folder:
             render.filepath = str(Path(folder) / "picture")

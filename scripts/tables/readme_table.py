@@ -25,42 +25,41 @@ from tables.marked_text import with_part, write_or_check
 
 PAGE = ROOT / "README.md"
 MARKS = "<!-- real files: made by scripts/tables/readme_table.py -->", "<!-- end of real files -->"
+COLUMNS = (VARIANCE, TIME, EQUAL)
 HEADS = ("", "noise", "time", "time to the same error", "worst file", "files")
 
 
 def table(runs: list[dict[str, Any]], reports: list[dict[str, Any]]) -> str:
-    """RayBatch over Cycles: the medians of each comparison, and the file that is worst at equal error. `runs` are what
-    equal_error_table.py keeps, `reports` what gpu_slopes_table.py does; files whose pictures differ do not count.
+    """RayBatch over Cycles: the medians of each comparison, and the file that is worst at equal error, in all repeats.
+    `runs` are what equal_error_table.py knows, `reports` what gpu_slopes_table.py keeps; files whose pictures differ do
+    not count.
     """
     lines = [row(HEADS), row(["---"] * len(HEADS))]
     for run in runs:
-        files = {name: each for name, each in run["files"].items() if each["same"]}
-        ratios = {
-            name: [statistics.median(each[what]) for what in (VARIANCE, TIME, EQUAL)] for name, each in files.items()
-        }
+        ratios = {name: [each[what] for what in COLUMNS] for name, each in run["files"].items() if each["same"]}
         defaults = ", own defaults" if run["request"]["defaults"] else ""
         lines.append(_line(f"two cores, {run['request']['samples']} samples{defaults}", ratios))
     same = [each for each in reports if each["scene"] not in gpu_slopes_table.known_to_differ()]
     names = (gpu_slopes_table.VARIANCE, gpu_slopes_table.SLOPE, gpu_slopes_table.EQUAL)
-    ratios = {each["scene"]: [each[name] for name in names] for each in same}
+    ratios = {each["scene"]: [[each[name]] for name in names] for each in same}
     first, counts = same[0], same[0]["sample_counts"]
     device = first["device"]["name"].removeprefix("NVIDIA ")
     lines.append(_line(f"{device}, from {counts[0]} to {counts[1]} samples", ratios))
     return "\n".join(lines)
 
 
-def _line(title: str, ratios: dict[str, list[float]]) -> str:
-    medians = [f"{statistics.median(each):.2f}" for each in zip(*ratios.values(), strict=True)]
-    worst = max(ratios, key=lambda name: ratios[name][-1])
-    return row([title, *medians, f"{ratios[worst][-1]:.2f} ({Path(worst).stem})", str(len(ratios))])
+def _line(title: str, ratios: dict[str, list[list[float]]]) -> str:
+    """A row: `ratios` are those of each file, in the order of the columns, one for each repeat."""
+    medians = [statistics.median(map(statistics.median, each)) for each in zip(*ratios.values(), strict=True)]
+    worst = max(ratios, key=lambda name: max(ratios[name][-1]))
+    worst_cell = f"{max(ratios[worst][-1]):.2f} ({Path(worst).stem})"
+    return row([title, *(f"{each:.2f}" for each in medians), worst_cell, str(len(ratios))])
 
 
 def updated(text: str) -> str:
     """The README with the table as it is now."""
-    runs, reports = (
-        json.loads(each.DATA.read_text(encoding="utf-8")) for each in (equal_error_table, gpu_slopes_table)
-    )
-    return with_part(text, *MARKS, table(runs, reports), PAGE)
+    reports = json.loads(gpu_slopes_table.DATA.read_text(encoding="utf-8"))
+    return with_part(text, *MARKS, table(equal_error_table.known(), reports), PAGE)
 
 
 def main(arguments: list[str]) -> int:

@@ -237,16 +237,19 @@ def load_kernels(
     """Compile or load the modules of `kernels`, several at a time; returns the modules' names.
 
     Done before worker threads start, because a launch must find its module loaded.
-    `on_module(done, all)` is called after each. Raises as `load_module` does.
+    `on_module(done, all)` is called with those that are there, and after each of the others. Raises as `load_module`
+    does.
     """
     from concurrent.futures import ThreadPoolExecutor, as_completed
 
     unique = {kernel.module.name: kernel for kernel in kernels}
     lacking = [each for each in unique.values() if not is_loaded(each.module, device, _block_size(each, device))]
+    there = len(unique) - len(lacking)
+    on_module(there, len(unique))
     if lacking:  # else no thread is begun: a second render has all
         with ThreadPoolExecutor(max_workers=min(4, os.cpu_count() or 1)) as pool:
             tasks = [pool.submit(load_module, kernel, device, given_up) for kernel in lacking]
-            for done, task in enumerate(as_completed(tasks), len(unique) - len(lacking) + 1):
+            for done, task in enumerate(as_completed(tasks), there + 1):
                 task.result()
                 on_module(done, len(unique))
     write_notes()

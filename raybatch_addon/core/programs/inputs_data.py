@@ -96,9 +96,11 @@ def corner_arrays(mesh: Mesh, ops: Iterable[str]) -> list[np.ndarray | None]:
     """The values at corners of `mesh` that programs with `ops` read. What they do not read may change: Blender's
     modifiers give UV maps whose last bits differ from evaluation to evaluation.
     """
-    ops = set(ops)
-    uvs = mesh.corner_uvs if "uv" in ops else None
-    return [uvs, *(each.values for each in mesh.attributes if not _ATTRIBUTE_OPS.isdisjoint(ops))]
+    read = set(ops)
+    arrays = [mesh.corner_uvs if "uv" in read else None]
+    if not _ATTRIBUTE_OPS.isdisjoint(read):
+        arrays += [each.values for each in mesh.attributes]
+    return arrays
 
 
 def with_camera(inputs: InputData, scene: Scene) -> InputData:

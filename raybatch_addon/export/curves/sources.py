@@ -95,7 +95,7 @@ class CurvesSource(_Source):
         if len(strands.points) == 0:
             return None
         uvs = self._surface_uvs() if uvs_asked else None
-        mesh = mesh_of(self._cut, self._curves.name, uvs)
+        mesh = mesh_of(self._cut, self._curves.name, self._user, uvs)
         slots = self._adapted("material_index", "CURVE")
         warnings += [f"object “{self._user}”: {each}" for each in self._notes]
         if slots is None or not slots.any() or len(self._curves.materials) < 2:
@@ -166,7 +166,7 @@ class ParticleHair(_Source):
         _warn_dropped(strands, f"particle hair “{name}”: strands", self._owner.name, warnings)
         if len(strands.points) == 0:
             return None
-        return mesh_of(self._cut, name, self._emitter_uvs() if uvs_asked else None)
+        return mesh_of(self._cut, name, self._owner.name, self._emitter_uvs() if uvs_asked else None)
 
     def _emitter_uvs(self, name: str = "") -> np.ndarray | None:
         """UV coordinates of the emitter's surface where each strand grows, in the map called `name`, or that which is

@@ -157,12 +157,16 @@ def kept_mesh(digest: bytes, place: tuple, make: Callable[[], Mesh]) -> Mesh:
     kept = _kept.get(digest)
     if kept is None:
         _make_room(place, digest)
-        mesh = make()
-        for array in mesh_arrays(mesh):
-            freeze(array)
-        kept = _kept[digest] = _Kept(mesh)
+        kept = _frozen(digest, make())
     kept.use()
     return kept.mesh
+
+
+def _frozen(digest: bytes, mesh: Mesh) -> _Kept:
+    for array in mesh_arrays(mesh):
+        freeze(array)
+    kept = _kept[digest] = _Kept(mesh)
+    return kept
 
 
 def kept_uvs(digest: bytes, key: bytes, make: Callable[[], np.ndarray]) -> np.ndarray:
@@ -201,9 +205,7 @@ class MeshSource:
             mesh = export_mesh(self._mesh, self._user, self._warnings)
             if mesh is None or len(self._warnings) > before:  # messages are those of this object
                 return mesh
-            for array in mesh_arrays(mesh):
-                freeze(array)
-            kept = _kept[self._shape] = _Kept(mesh)
+            kept = _frozen(self._shape, mesh)
             if mesh.corner_uvs is not None:
                 kept.keep((self._uv_digest(),), Attribute("UV", "", mesh.corner_uvs))
         kept.use()

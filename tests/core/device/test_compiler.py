@@ -12,12 +12,12 @@ import warp as wp
 from raybatch_addon.core.device import compiler, kept_kernels
 from raybatch_addon.core.device.compile_errors import complaint_of
 from raybatch_addon.core.device.compiler import CompileError, CompileStoppedError
-from raybatch_addon.core.device.devices import load_module, start_warp
+from raybatch_addon.core.device.devices import load_kernels, load_module, start_warp
 from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.errors import DeviceError
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
-from tests.core.device.small_kernels import ROOT, files_of, keep_in, small_kernel, works
+from tests.core.device.small_kernels import ROOT, files_of, forget, keep_in, small_kernel, works
 from tests.support import scenes
 
 PACKAGE = ROOT / "raybatch_addon"
@@ -44,6 +44,18 @@ def no_code(x: float) -> float: ...
 @wp.kernel(**KERNEL_OPTIONS)
 def no_code_kernel(values: wp.array(dtype=float)):
     values[wp.tid()] = no_code(1.0)
+
+
+def test_progress_counts_the_kernels_that_are_there_first():
+    device, kernels = wp.get_device("cpu"), [small_kernel() for _ in range(3)]
+    for there in (0, 1, 3):
+        for kernel in kernels[:there]:
+            load_module(kernel, device)
+        shown = []
+        assert len(load_kernels(kernels, device, lambda done, total: shown.append((done, total)))) == 3
+        assert shown == [(count, 3) for count in range(there, 4)]
+        for kernel in kernels:
+            forget(kernel)
 
 
 def test_a_compile_error_is_one_line_and_a_log(folder, capfd):

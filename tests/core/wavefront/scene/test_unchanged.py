@@ -48,6 +48,21 @@ def bumped():
     return Material("bumped", (), (ClosureKind.EMISSION,), builder.finish())
 
 
+def mapped():
+    """A material that emits its UV coordinates."""
+    builder = ProgramBuilder()
+    uv = builder.value("uv", -1, 0)
+    builder.closure("emission", builder.value("multiply_colors", uv, (2.0,) * 3))
+    return Material("mapped", (), (ClosureKind.EMISSION,), builder.finish())
+
+
+def with_uvs(scene, seed):
+    """`scene`; its first mesh has a UV map of random numbers."""
+    box = scene.meshes[0]
+    uvs = np.random.default_rng(seed).random((len(box.triangles), 3, 2)).astype(np.float32)
+    return frozen(replace(scene, meshes=(replace(box, corner_uvs=uvs), *scene.meshes[1:])))
+
+
 def scene_of(material=None, place=0.0):
     made = scenes.scene(
         [
@@ -193,3 +208,14 @@ def test_an_emitter_that_begins_to_deform_is_none_any_more(made):
     pixels(scene, session)
     other = deforming(scene, 0, 0.2)
     assert pixels(other, session) == pixels(other)
+
+
+@pytest.mark.parametrize("reads", [True, False])
+def test_a_uv_map_counts_where_it_is_read(made, reads):
+    session, scene = Session(DEVICE), frozen(scene_of(mapped() if reads else shining()))
+    pixels(with_uvs(scene, 1), session)
+    made.clear()
+    other = with_uvs(scene, 2)
+    film = pixels(other, session)
+    assert ("upload_inputs" in made) == reads and ("find_emissive_triangles" in made) == reads
+    assert film == pixels(other), "as a session renders it that has nothing to keep"
