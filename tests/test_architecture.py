@@ -127,8 +127,21 @@ def import_targets(path: Path) -> set[Path]:
                 if p.is_file()
             ]
             assert found, f"{name_of(path)} imports {name} from {base}, which is not there"
-            targets.add(found[0])
+            targets |= {found[0], defining(found[0], name)}
     return targets - {path}
+
+
+def defining(file: Path, name: str) -> Path:
+    """Where `name` comes from that is imported from `file`: another file, if that is an `__init__.py` which imports
+    it.
+    """
+    if file.name != "__init__.py":
+        return file
+    for node in parsed(file).body:
+        if isinstance(node, ast.ImportFrom) and node.level == 1 and node.module:
+            if name in {alias.asname or alias.name for alias in node.names}:
+                return file.parent.joinpath(*node.module.split(".")).with_suffix(".py")
+    return file
 
 
 def callee_of(node: ast.expr) -> str:
