@@ -281,7 +281,7 @@ def _take_over_settings(scene: bpy.types.Scene, request: Request) -> None:
     """The settings of another engine, where asked for, and those of the command line on top of them."""
     if request.settings_from:
         changed = take_over(scene, request.settings_from)
-        print_notes(each.text(request.settings_from) for each in changed)
+        print_notes(each.taken(request.settings_from) for each in changed)
     _apply_settings(scene, request)
 
 

@@ -31,14 +31,24 @@ class Difference:
     ours: Any
 
     def text(self, engine: str) -> str:
-        """The difference in words."""
+        """The difference in words, as long as it is one."""
+        label, theirs, ours = self._words()
+        return f"{label}: {theirs} in {ENGINE_LABELS[engine]}, {ours} here"
+
+    def taken(self, engine: str) -> str:
+        """What was taken over of it, in words."""
+        label, theirs, ours = self._words()
+        return f"{label}: {theirs}, as in {ENGINE_LABELS[engine]} (before: {ours})"
+
+    def _words(self) -> tuple[str, str, str]:
+        """The setting's label, their value and ours."""
         info = SETTINGS.get(self.setting)
         label = _OF_FILE[self.setting] if info is None else info.title
         theirs, ours = (
             "no limit" if info is not None and info.off is not None and value == info.off else _shown(value)
             for value in (self.theirs, self.ours)
         )
-        return f"{label}: {theirs} in {ENGINE_LABELS[engine]}, {ours} here"
+        return label, theirs, ours
 
 
 def differences(scene: bpy.types.Scene, engine: str, chosen: bool = False) -> list[Difference]:

@@ -108,7 +108,7 @@ class RAYBATCH_OT_settings_from(_OfEngine, bpy.types.Operator):
             self.report({"ERROR"}, f"RayBatch: {error}")
             return {"CANCELLED"}
         for each in changed:
-            self.report({"INFO"}, each.text(self.engine))
+            self.report({"INFO"}, each.taken(self.engine))
         if not changed:
             self.report({"INFO"}, "RayBatch: the settings are those already")
         return {"FINISHED"}

@@ -314,7 +314,7 @@ def test_another_engines_settings_are_taken_over_on_the_command_line(scene, tmp_
     assert done.returncode == 0, done.stderr
     settings = json.loads(done.stdout)["settings"]
     assert settings["sample_count"] == 3 and settings["bounce_max"] == 1
-    assert "Samples: 3 in Cycles, 2 here" in done.stderr
+    assert "Samples: 3, as in Cycles (before: 2)" in done.stderr
 
 
 def test_a_script_in_osl_is_named_and_the_sockets_own_value_stands_in(scene):

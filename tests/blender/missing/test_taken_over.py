@@ -63,7 +63,7 @@ def test_another_output_is_a_difference(scene):
     take_over(scene, CYCLES)
     scene.raybatch_export.material_output = EEVEE
     (change,) = take_over(scene, CYCLES)
-    assert change.text(CYCLES) == "Material Output: Cycles in Cycles, EEVEE here"
+    assert change.taken(CYCLES) == "Material Output: Cycles, as in Cycles (before: EEVEE)"
 
 
 def test_limits_by_kind_count_as_far_as_that_of_all(scene):
