@@ -57,9 +57,14 @@ def kept(report: dict[str, Any]) -> dict[str, Any]:
     return {"request": asked, "versions": report["versions"], "note": report["note"], "files": files}
 
 
+def known_to_differ() -> set[str]:
+    """Names of files whose pictures differ by the list of real files: their figures do not count."""
+    return names_that_differ(read_listing(LISTING))
+
+
 def known() -> list[dict[str, Any]]:
-    """What is kept of each run; files that the list of real files says to differ do, even where noise hid it."""
-    differing = names_that_differ(read_listing(LISTING))
+    """What is kept of each run; files that are known to differ do, even where noise hid it."""
+    differing = known_to_differ()
     data = json.loads(DATA.read_text(encoding="utf-8"))
     for run in data:
         for name, each in run["files"].items():

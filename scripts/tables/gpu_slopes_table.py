@@ -18,10 +18,9 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
 
 from lib.output import json_text, write_text
-from real_files.listing import names_that_differ, read_listing
 from real_files.measures import Spread
 
-from tables.equal_error_table import LISTING, PAGE, row
+from tables.equal_error_table import PAGE, known_to_differ, row
 from tables.marked_text import with_part, write_or_check
 
 DATA = ROOT / "docs" / "studies" / "data" / "equal-error-gpu.json"
@@ -65,11 +64,6 @@ def table(data: list[dict[str, Any]]) -> str:
     lines += [row(["**median**", "", "", "", *medians, "", ""]), row(["**worst**", "", "", "", *worst, "", ""])]
     lines += _file_rows([each for each in data if each["scene"] in differing], " (differs)")
     return "\n".join(lines)
-
-
-def known_to_differ() -> set[str]:
-    """Names of scenes that both engines show as different pictures: their figures do not count."""
-    return names_that_differ(read_listing(LISTING))
 
 
 def _file_rows(reports: list[dict[str, Any]], remark: str = "") -> list[str]:

@@ -20,7 +20,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
 from real_files.rows import EQUAL, VARIANCE
 
 from tables import equal_error_table, gpu_slopes_table
-from tables.equal_error_table import TIME, row
+from tables.equal_error_table import TIME, known_to_differ, row
 from tables.marked_text import with_part, write_or_check
 
 PAGE = ROOT / "README.md"
@@ -39,7 +39,7 @@ def table(runs: list[dict[str, Any]], reports: list[dict[str, Any]]) -> str:
         ratios = {name: [each[what] for what in COLUMNS] for name, each in run["files"].items() if each["same"]}
         defaults = ", own defaults" if run["request"]["defaults"] else ""
         lines.append(_line(f"two cores, {run['request']['samples']} samples{defaults}", ratios))
-    same = [each for each in reports if each["scene"] not in gpu_slopes_table.known_to_differ()]
+    same = [each for each in reports if each["scene"] not in known_to_differ()]
     names = (gpu_slopes_table.VARIANCE, gpu_slopes_table.SLOPE, gpu_slopes_table.EQUAL)
     ratios = {each["scene"]: [[each[name]] for name in names] for each in same}
     first, counts = same[0], same[0]["sample_counts"]

@@ -2,7 +2,6 @@
 
 import json
 
-from real_files.listing import names_that_differ, read_listing
 from tables import equal_error_table
 
 
@@ -57,7 +56,7 @@ def test_medians_are_of_files_that_are_the_same_picture_and_the_worst_of_all_rep
 
 
 def test_a_file_known_to_differ_is_apart_where_noise_hides_it(tmp_path, monkeypatch):
-    name = min(names_that_differ(read_listing(equal_error_table.LISTING)))
+    name = min(equal_error_table.known_to_differ())
     made = report(32, known=("same", [1.0]), other=("same", [1.0]))
     made["files"][0]["name"] = name
     monkeypatch.setattr(equal_error_table, "DATA", tmp_path / "data.json")

@@ -3,7 +3,6 @@
 import json
 
 import pytest
-from real_files.listing import names_that_differ, read_listing
 from tables import gpu_slopes_table
 
 
@@ -37,7 +36,7 @@ def test_each_file_stands_beside_its_peer_and_the_worst_is_the_largest(tmp_path,
     page.write_text("\n".join(["before", *gpu_slopes_table.MARKS, "after"]), encoding="utf-8")
     monkeypatch.setattr(gpu_slopes_table, "PAGE", page)
     monkeypatch.setattr(gpu_slopes_table, "DATA", data)
-    differing = min(names_that_differ(read_listing(gpu_slopes_table.LISTING)))  # a file whose pictures differ
+    differing = min(gpu_slopes_table.known_to_differ())  # a file whose pictures differ
     reports = [report("b.blend", 0.5, 1.0), report("A.blend", 0.25, 8.0, "CUDA"), report("c.blend", 1.0, 0.5)]
     reports.append(report(differing, 4.0, 100.0))
     paths = []

@@ -26,7 +26,7 @@ def test_files_that_differ_do_not_count_and_the_worst_is_named():
         "equal_error_raybatch_over_cycles": 0.125,
     }
     report = {"scene": "c.blend", "device": {"name": "NVIDIA X"}, "sample_counts": [4, 16], **figures}
-    differing = {**report, "scene": min(readme_table.gpu_slopes_table.known_to_differ())}
+    differing = {**report, "scene": min(readme_table.known_to_differ())}
     rows = readme_table.table(runs, [report, {**differing, "equal_error_raybatch_over_cycles": 7.0}]).splitlines()[2:]
     assert rows == [
         "| two cores, 32 samples | 1.25 | 2.00 | 4.88 | 12.00 (two) | 2 |",
