@@ -139,7 +139,7 @@ def _shading_kernels(
         return {stage: stage_kernel(whole[stage](), stage, out_of_line) for stage in stages}
     any_program = bool(features.programs or features.world_program or features.lamp_program)
     runs_program = {
-        ShadingStage.SURFACE: any_program,
+        ShadingStage.SURFACE: bool(features.programs) if aims_apart else any_program,
         ShadingStage.CONNECT_TRANSPARENT: any_program,
         ShadingStage.CONNECT: features.light_programs,
         ShadingStage.LIGHT_HITS: bool(features.lamp_program),
@@ -155,16 +155,20 @@ def _shading_kernels(
         in_one = narrow(needed, AimFeatures)
     simple = _stage_functions(without_programs(needed), in_one, shading.world_light)
     simple[ShadingStage.AIM] = _stage_functions(needed, None)[ShadingStage.AIM]
+    if aims_apart:  # where light is not aimed at, the programs of world and lamps are not run, but may be weighed
+        weighing = dataclasses.replace(without_programs(needed), world_light=shading.world_light)
+        simple[ShadingStage.SURFACE] = _stage_functions(weighing, None)[ShadingStage.SURFACE]
     has_simple = aims_apart or not wide
     found = {
         stage: stage_kernel(simple[stage](), stage, out_of_line=stage == ShadingStage.SURFACE)
         for stage in stages
         if has_simple and not runs_program[stage]
     }
-    if ShadingStage.SURFACE in stages and runs_program[ShadingStage.SURFACE] and not aims_apart and is_common(features):
+    if ShadingStage.SURFACE in stages and runs_program[ShadingStage.SURFACE] and is_common(features):
         # most of the time of a render is here, so what such a scene lacks is left out of this stage
         common = common_features(shading)
-        function = _stage_functions(common, narrow(common, AimFeatures))[ShadingStage.SURFACE]()
+        aim = None if aims_apart else narrow(common, AimFeatures)
+        function = _stage_functions(common, aim)[ShadingStage.SURFACE]()
         found[ShadingStage.SURFACE] = stage_kernel(function, ShadingStage.SURFACE, out_of_line=True)
     if ShadingStage.OCCLUSION in stages and not shading.occlusion_pass:
         occlusion = _stage_functions(features, None)[ShadingStage.OCCLUSION]()
