@@ -18,7 +18,14 @@ from ..scene.features import SCATTERING, SceneFeatures
 from ..settings.settings import RenderSettings
 from ..shading.lights.tree.kernels import LIGHT_TREE_KERNELS
 from ..sky.scattering_kernels import SKY_KERNELS
-from ..wavefront.kernels import StageKernels, common_features, plain_features, tracing_kernels, without_programs
+from ..wavefront.kernels import (
+    StageKernels,
+    common_features,
+    constant_volumes,
+    plain_features,
+    tracing_kernels,
+    without_programs,
+)
 from ..wavefront.plan.plan import Method, TracingPlan
 from ..wavefront.plan.tracing import Tracing
 from ..wavefront.tier import general_features, general_kernels
@@ -94,7 +101,8 @@ def _plain_scenes(plain: SceneFeatures) -> list[SceneFeatures]:
         dataclasses.replace(scene, passes=("Combined", name)) for scene in scenes[:2] for name in ("Normal", "Mist")
     ]
     scenes += [dataclasses.replace(scene, closures=_OPAQUE) for scene in scenes[:4]]
-    return [*scenes, common_features(scenes[0]), without_programs(scenes[0])]
+    filled = dataclasses.replace(constant_volumes(scenes[0]), volumes=True)
+    return [*scenes, common_features(scenes[0]), without_programs(scenes[0]), filled]
 
 
 def _wide_scenes(general: SceneFeatures) -> list[SceneFeatures]:

@@ -134,6 +134,11 @@ def summed_passes(passes: tuple[str, ...]) -> tuple[str, ...]:
     )
 
 
+def shows_colors(passes: tuple[str, ...]) -> bool:
+    """Whether the colours of surfaces are summed for any of `passes`."""
+    return not set(COLOR_PASSES).isdisjoint(summed_passes(passes))
+
+
 def records_surfaces(passes: tuple[str, ...]) -> bool:
     """Whether the first surfaces of paths are recorded for any of `passes`."""
     return bool(aov_passes(passes)) or not _RECORDED.isdisjoint((*passes, *summed_passes(passes)))

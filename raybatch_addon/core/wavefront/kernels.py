@@ -104,7 +104,7 @@ def _chosen(features: SceneFeatures, shading: SceneFeatures, is_cuda: bool, out_
         generate_active=generate_active_kernel(_generate_features(features, shading)) if features.adaptive else None,
         settle=settle_kernel,
         walk=walk_kernel(narrow(walked, WalkFeatures)) if features.subsurface else None,
-        volumes=VolumeKernels.choose(features, shading, out_of_line),
+        volumes=VolumeKernels.choose(features, _shading_of_volumes(features, shading), out_of_line),
         shading=_shading_kernels(features, shading, stages, is_cuda, out_of_line),
         accumulate=accumulate_kernel(layout),
         resolve=resolve_kernel(layout),
@@ -164,7 +164,7 @@ def _shading_kernels(
         for stage in stages
         if has_simple and not runs_program[stage]
     }
-    if ShadingStage.SURFACE in stages and runs_program[ShadingStage.SURFACE] and is_common(features):
+    if ShadingStage.SURFACE in stages and ShadingStage.SURFACE not in found and is_common(features):
         # most of the time of a render is here, so what such a scene lacks is left out of this stage
         common = common_features(shading)
         aim = None if aims_apart else narrow(common, AimFeatures)
@@ -200,42 +200,61 @@ _RARE_FEATURES = {
 
 def is_wide(features: SceneFeatures) -> bool:
     """Whether surfaces or lights of a scene with `features` have anything that few scenes have."""
+    return _is_rare(features) or features.guides
+
+
+def _is_rare(features: SceneFeatures) -> bool:
+    """`is_wide`, passes that guide a denoiser apart."""
     rare = any(getattr(features, name) != usual for name, usual in _RARE_FEATURES.items())
-    return rare or features.guides or features.light_groups or not _RARE_KINDS.isdisjoint(features.closures)
+    return rare or features.light_groups or not _RARE_KINDS.isdisjoint(features.closures)
 
 
 def plain_features(features: SceneFeatures) -> SceneFeatures:
     """`features` without what few scenes have."""
-    rare_passes = {*GUIDE_PASSES, *light_group_passes(features.passes)}
+    unguided = _usual_features(features)
+    return dataclasses.replace(unguided, passes=tuple(name for name in unguided.passes if name not in GUIDE_PASSES))
+
+
+def _usual_features(features: SceneFeatures) -> SceneFeatures:
+    """`plain_features`, and passes that guide a denoiser."""
+    groups = light_group_passes(features.passes)
     return dataclasses.replace(
         features,
         closures=tuple(kind for kind in features.closures if kind not in _RARE_KINDS),
-        passes=tuple(name for name in features.passes if name not in rare_passes),
+        passes=tuple(name for name in features.passes if name not in groups),
         **_RARE_FEATURES,
     )
 
 
-# What scenes have whose surfaces a CPU shades by a general kernel of their own: these passes, and none of these ops
-_COMMON_PASSES = ("Combined",)
+# Ops that few programs have
 _RARE_OPS = REQUEST_OPS | {kind.name.lower() for kind in _RARE_KINDS}
 
 
 def is_common(features: SceneFeatures) -> bool:
     """Whether a scene with `features` has but what many have: less code shades its surfaces (`common_features`)."""
-    usual = set(features.passes) <= set(_COMMON_PASSES) and _RARE_OPS.isdisjoint(features.programs.ops)
-    return usual and not is_wide(features)
+    return _RARE_OPS.isdisjoint(features.programs.ops) and not _is_rare(features)
 
 
 def common_features(features: SceneFeatures) -> SceneFeatures:
     """What `features` have of such scenes. Arrays of paths are the same: other kernels read them."""
-    plain = plain_features(features)
-    ops = tuple(name for name in plain.programs.ops if name not in _RARE_OPS)
+    usual = _usual_features(features)
+    ops = tuple(name for name in usual.programs.ops if name not in _RARE_OPS)
     return dataclasses.replace(
-        plain,
-        passes=_COMMON_PASSES,
-        programs=dataclasses.replace(plain.programs, ops=ops, answer_count=0),
-        request_program=ProgramFeatures(),
+        usual, programs=dataclasses.replace(usual.programs, ops=ops, answer_count=0), request_program=ProgramFeatures()
     )
+
+
+def _shading_of_volumes(features: SceneFeatures, shading: SceneFeatures) -> SceneFeatures:
+    """What the kernels of volumes in a scene with `features` are specialised on, where others are on `shading`."""
+    has_programs = bool(features.volume_program or features.lamp_program)
+    if not shading.programs.apart or has_programs or _is_rare(features):
+        return shading
+    return constant_volumes(_usual_features(shading))
+
+
+def constant_volumes(features: SceneFeatures) -> SceneFeatures:
+    """`features` of a scene whose volumes are each the same everywhere, and whose lamps are no programs."""
+    return dataclasses.replace(features, volume_program=ProgramFeatures(), lamp_program=ProgramFeatures())
 
 
 def without_programs(features: SceneFeatures) -> SceneFeatures:

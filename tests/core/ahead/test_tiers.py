@@ -30,7 +30,7 @@ from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront import kernels
 from raybatch_addon.core.wavefront.integrator import TileIntegrator
-from raybatch_addon.core.wavefront.kernels import StageKernels, is_common, is_wide
+from raybatch_addon.core.wavefront.kernels import StageKernels
 from raybatch_addon.core.wavefront.plan.plan import Method, TracingPlan
 from raybatch_addon.core.wavefront.stages.work import ShadingStage
 from raybatch_addon.core.wavefront.tier import (
@@ -43,7 +43,7 @@ from raybatch_addon.core.wavefront.tier import (
 )
 from tests.core.device.small_kernels import put_header
 from tests.support import scenes, schedule_scenes
-from tests.support.feature_scenes import ALL_FEATURES, EACH_FEATURE, EACH_WIDE_FEATURE, FEATURES, WIDE_FEATURES
+from tests.support.feature_scenes import ALL_FEATURES
 from tests.support.feature_scenes import SETTINGS as FEATURE_SETTINGS
 from tests.support.running.shares import each_of, thorough_but
 from tests.support.under_test import DEVICE
@@ -140,32 +140,12 @@ def test_one_kernel_gives_the_film_of_those_for_each_stage(monkeypatch):
     scene, settings = scenes.mixed(), SETTINGS.replace(kernel_tier="GENERAL")
     expected = Session(DEVICE).render(scene, settings)
     monkeypatch.setattr(kernels, "is_wide", lambda _: True)
+    monkeypatch.setattr(kernels, "is_common", lambda _: False)
     monkeypatch.setattr(kernels, "_chosen", kernels._chosen.__wrapped__)  # what was chosen before is not remembered
     device = wp.get_device(DEVICE)
     shading = StageKernels.choose(derive_features(scene, settings), device, general_features(device)).shading
     assert set(shading.values()) == {general_kernels(device)[0]}
     assert_same(Session(DEVICE).render(scene, settings), expected)
-
-
-def test_kernels_for_each_stage_are_chosen_where_they_have_all_that_a_scene_has():
-    for features, wide in ((FEATURES | EACH_FEATURE, False), (WIDE_FEATURES | EACH_WIDE_FEATURE, True)):
-        for name, (scene, changes) in features.items():
-            found = derive_features(scene, FEATURE_SETTINGS.replace(**changes))
-            assert is_wide(found) == wide or (found.volumes and wide), name
-
-
-@ON_CPU
-def test_surfaces_of_common_scenes_are_shaded_by_less_code():
-    """The kernel is compiled ahead, without what the scene lacks; passes and rare features ask for the large one."""
-    device, programs = wp.get_device(DEVICE), ProgramFeatures(("diffuse", "noise_3d"), 16, 4)
-    features = replace(derive_features(scenes.mixed(Frame(24, 20)), SETTINGS), programs=programs)
-    assert is_common(features)
-    kernel = StageKernels.choose(features, device, general_features(device)).shading[ShadingStage.SURFACE]
-    assert kernel in GeneralRequest().kernels(device) and kernel not in general_kernels(device)
-    asking = replace(programs, ops=("bevel", "diffuse"))
-    for changes in (dict(passes=("Combined", "Normal")), dict(curves=True), dict(programs=asking)):
-        other = StageKernels.choose(replace(features, **changes), device, general_features(device))
-        assert other.shading[ShadingStage.SURFACE] is general_kernels(device)[0], changes
 
 
 @ON_CPU

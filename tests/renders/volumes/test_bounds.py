@@ -106,12 +106,25 @@ def of_the_world(density) -> Volume:
 def test_fog_that_goes_on_beyond_the_end_of_the_world_is_named(session):
     """Not where it thins out before, and not where it swallows all light before."""
 
-    def constant(density):
-        return lambda builder: builder.value("math", 0, False, density, 0.0, 0.0)
+    def fog(density):
+        """The same everywhere, by a program that asks where it is."""
 
-    assert "the world: its volume ends" in warnings_of(session, of_the_world(constant(1e-3)))
-    assert "its volume ends" not in warnings_of(session, of_the_world(constant(1.0)))
-    assert "its volume ends" not in warnings_of(session, of_the_world(constant(0.0)))
+        def value(builder):
+            height = builder.value("separate_xyz", builder.value("position", 0))[2]
+            return builder.value("math", int(MathOperation.MULTIPLY_ADD), False, height, 0.0, density)
+
+        return value
+
+    assert "the world: its volume ends" in warnings_of(session, of_the_world(fog(1e-3)))
+    assert "its volume ends" not in warnings_of(session, of_the_world(fog(1.0)))
+    assert "its volume ends" not in warnings_of(session, of_the_world(fog(0.0)))
+
+
+def test_fog_of_a_program_that_is_the_same_everywhere_has_no_end(session):
+    def value(builder):
+        return builder.value("math", int(MathOperation.ADD), False, 1e-3, 0.0, 0.0)
+
+    assert "its volume ends" not in warnings_of(session, of_the_world(value))
 
 
 @pytest.mark.parametrize("kind", [CameraKind.EQUIRECTANGULAR, CameraKind.FISHEYE_EQUIDISTANT, CameraKind.MIRROR_BALL])

@@ -110,13 +110,15 @@ def record_background(work: TileWork, paths: Paths, film: FilmTile, path: int):
 
 
 @functools.cache
-def make_record_surface(features: ClosureFeatures, transparency: bool, catchers: bool = False) -> wp.Function:
+def make_record_surface(
+    features: ClosureFeatures, transparency: bool, colors: bool = True, catchers: bool = False
+) -> wp.Function:
     """Function (data, paths, rays, film, path: int, v: Vertex, view: ClosuresInView): what passes show of a surface
     that a path meets before it scatters. Depth, Position and Normal are among them where surfaces may be transparent
-    (`transparency`). With `catchers` copies of paths record nothing.
+    (`transparency`), the passes of colours with `colors`. With `catchers` copies of paths record nothing.
     """
     let_through = make_bsdf(features).transparency
-    closure_colors = make_closure_colors(features)
+    closure_colors = make_closure_colors(features) if colors else None
 
     @wp.func
     def record_surface(
@@ -171,10 +173,11 @@ def make_record_surface(features: ClosureFeatures, transparency: bool, catchers:
         if passes.mist >= 0:
             seen = clear_view(data, passes.inputs, v.surface.position) * mean_channel(wp.cw_mul(throughput, alpha))
             passes.values[passes.mist, path] = passes.values[passes.mist, path] + seen
-        if passes.color[0] >= 0 or passes.color[1] >= 0 or passes.color[2] >= 0:
-            colors = closure_colors(view, data.materials.albedo)
-            add_channels(passes, passes.color[0], path, wp.cw_mul(throughput, colors.diffuse))
-            add_channels(passes, passes.color[1], path, wp.cw_mul(throughput, colors.glossy))
-            add_channels(passes, passes.color[2], path, wp.cw_mul(throughput, colors.transmission))
+        if wp.static(colors):
+            if passes.color[0] >= 0 or passes.color[1] >= 0 or passes.color[2] >= 0:
+                found = closure_colors(view, data.materials.albedo)
+                add_channels(passes, passes.color[0], path, wp.cw_mul(throughput, found.diffuse))
+                add_channels(passes, passes.color[1], path, wp.cw_mul(throughput, found.glossy))
+                add_channels(passes, passes.color[2], path, wp.cw_mul(throughput, found.transmission))
 
     return record_surface

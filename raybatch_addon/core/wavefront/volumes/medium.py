@@ -8,6 +8,7 @@ import warp as wp
 
 from ...programs.point import IN_VOLUME, ShadingPoint
 from ...programs.run import make_run
+from ...programs.uniform import is_uniform
 from ...scene.description import ClosureKind
 from ...scene.geometry import transform_point, transform_vector
 from ...scene.moved import inverse_at, motion_row
@@ -126,10 +127,22 @@ def make_medium(programs: ProgramFeatures) -> wp.Function:
     return medium
 
 
+def may_vary(programs: ProgramFeatures) -> bool:
+    """Whether coefficients by `programs` may change along a ray."""
+    return bool(programs) and not is_uniform(programs.ops)
+
+
+def make_constant_medium(programs: ProgramFeatures) -> wp.Function:
+    """`make_medium` for volumes whose coefficients are the same along a ray, in a scene with `programs`: where some may
+    vary, all that are programs count as if they did, but in general kernels, where `VolumeData.varies` says so.
+    """
+    return make_medium(programs if programs.apart or not may_vary(programs) else ProgramFeatures())
+
+
 @wp.func
-def has_program(volumes: VolumeData, inside: wp.vec4i) -> bool:
+def varies_along(volumes: VolumeData, inside: wp.vec4i) -> bool:
     """Whether coefficients change along a ray."""
-    if volumes.nodes.program_first.shape[0] > 0:
+    if volumes.varies != 0:
         for place in range(wp.static(INSIDE_MOST + 1)):
             found = entry(volumes, inside, place)
             if found[1] >= 0:

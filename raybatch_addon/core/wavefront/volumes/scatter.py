@@ -16,7 +16,6 @@ import warp as wp
 from ...rays import Rays
 from ...scene.description import LightKind
 from ...scene.features import narrow
-from ...scene.program import ProgramFeatures
 from ...shading.bsdf.materials import address_of
 from ...shading.lights.choice import VOLUME_SIDE
 from ...shading.lights.hits import LightHitFeatures, make_light_hits
@@ -40,7 +39,7 @@ from ..stages.work import TileWork
 from .along import Sought, sought_in_bounds, sought_in_constant, towards_light
 from .features import VolumeFeatures
 from .lights import Way, make_lights_ahead
-from .medium import LOBES_MOST, PHASE_LOBE_FLOATS, Coefficients, has_program, make_medium
+from .medium import LOBES_MOST, PHASE_LOBE_FLOATS, Coefficients, make_constant_medium, may_vary, varies_along
 from .segment import constant_way, ray_point, scattering_shares
 from .table import AIMED, BACK, FRONT, GOES_ON, IN_VACUUM, VolumeData, innermost_instance, is_empty
 from .track import SCATTERED, STOPPED, Track, make_track
@@ -61,14 +60,15 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
     pixel_key = sampler.pixel_key
     sample_1d = sampler.sample_1d
     surface_point = make_surface_point(features.instancing, features.smooth_normals, features.curves, features.moving)
-    track = make_track(features.volume_program)
+    varies = may_vary(features.volume_program)
+    track = make_track(features.volume_program) if varies else None
     lights_ahead = make_lights_ahead(features)
     miss = make_light_hits(narrow(features, LightHitFeatures)).miss
     aim = make_aim_in_volume(features)
     scattered = make_scattered(features)
     choose_light = make_choose_light(narrow(features, AimFeatures))
     add_light = make_add_light(features.splits_light, features.light_groups)
-    constant_medium = make_medium(ProgramFeatures())
+    constant_medium = make_constant_medium(features.volume_program)
     # whether lights have places, towards which points of a ray can be sought
     has_places = features.shadow_rays and (features.mesh_lights or any(k != LightKind.SUN for k in features.lights))
 
@@ -189,10 +189,10 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
             far = wp.min(length, wp.static(FARTHEST))
             sought = Sought()
             changes = bool(False)
-            if wp.static(bool(features.volume_program)):
-                changes = has_program(volumes, inside)
+            if wp.static(varies):
+                changes = varies_along(volumes, inside)
             if changes:
-                if wp.static(bool(features.volume_program)):
+                if wp.static(varies):
                     if seeks:
                         sought = sought_in_bounds(volumes, inside, origin, direction, begin.time, far)
                         sought = seek(data, paths, path, v, origin, sought)

@@ -14,7 +14,7 @@ from ...shading.bsdf.subsurface import channel_shares
 from ...shading.volumes.enclosures import FARTHEST
 from ...shading.volumes.phase import PhaseLobe
 from .along import Sought, lit_length
-from .medium import LOBES_MOST, PHASE_LOBE_FLOATS, Coefficients, has_program, make_medium, passes
+from .medium import LOBES_MOST, PHASE_LOBE_FLOATS, Coefficients, make_constant_medium, may_vary, passes, varies_along
 from .table import VolumeData
 from .track import SCATTERED, Track, make_transmitted
 
@@ -52,14 +52,15 @@ def make_passed(programs: ProgramFeatures) -> wp.Function:
     """Function (volumes, inside: vec4i, point: ShadingPoint, length: float, stream: uint32) -> vec3: the share of light
     that passes `length` [m] from `point` on; exact where coefficients are constant, else an estimate.
     """
-    medium = make_medium(ProgramFeatures())
-    transmitted = make_transmitted(programs)
+    medium = make_constant_medium(programs)
+    varies = may_vary(programs)
+    transmitted = make_transmitted(programs) if varies else None
 
     @wp.func
     def passed(volumes: VolumeData, inside: wp.vec4i, point: ShadingPoint, length: float, stream: wp.uint32) -> wp.vec3:
         reach = wp.min(length, wp.static(FARTHEST))
-        if wp.static(bool(programs)):
-            if has_program(volumes, inside):
+        if wp.static(varies):
+            if varies_along(volumes, inside):
                 return transmitted(volumes, inside, point, reach, stream)
         floats = wp.zeros(wp.static(LOBES_MOST * PHASE_LOBE_FLOATS), dtype=float)
         lobes = wp.array(ptr=address_of(floats), shape=(wp.static(LOBES_MOST),), dtype=PhaseLobe)

@@ -70,6 +70,7 @@ class VolumeData:
     closure_first: wp.array(dtype=int)  # volume v has the closures [closure_first[v], closure_first[v + 1])
     closures: wp.array(dtype=ClosureRecord)
     nodes: NodeData  # programs of volumes; `program_first` by volume
+    varies: int  # 1: a program may give other coefficients at other points of an object
     density_scale: wp.array(dtype=float)  # of each instance: factor of all coefficients; empty: 1
     bounds_of: wp.array(dtype=int)  # entry in `grids`, by instance * volume_count + volume; -1: there is no program
     world_bounds: int

@@ -22,7 +22,7 @@ from .bounds import RAYS, FoundBounds, bounded_volumes, find_bounds, goes_on_bey
 from .features import VolumeFeatures
 from .grids import GridCache, density_scale, upload_grids
 from .kernels import launch_bound
-from .medium import WORLD_REACH
+from .medium import WORLD_REACH, may_vary
 from .table import VolumeData
 
 # The world's volume is taken to be like this many sizes of the scene around it
@@ -106,6 +106,7 @@ def upload_volumes(
         data.density_scale = wp.array(scale, dtype=float, device=device)
     enclosures = upload_enclosures(scene, volume_of, data.volume_count, geometry, device)
     data.enclosures = enclosures.data
+    data.varies = int(may_vary(features.volume_program))
     ops, asked = features.volume_program.ops, narrow(shading, VolumeFeatures)
     warnings = _bound(data, scene, asked, volume_of, device, ops, cache.bounds)
     if ClosureKind.RAY_PORTAL in features.closures:
@@ -128,9 +129,9 @@ def _bound(
     ops: tuple[str, ...],
     kept: Last[FoundBounds | None],
 ) -> list[str]:
-    """Find the bounds of programs, or take those that are `kept`; what of their volumes is not rendered."""
+    """Find the bounds of programs that vary, or take those that are `kept`; what of their volumes is not rendered."""
     has_program = [volume.program is not None for volume in scene_volumes(scene)]
-    if not any(has_program):
+    if not data.varies:
         kept.clear()
         return []
     box = _world_box(scene)

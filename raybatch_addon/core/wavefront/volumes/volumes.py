@@ -12,6 +12,7 @@ from .cross import cross_kernel, enter_kernel
 from .features import VolumeFeatures
 from .grids import store_numbers, store_vectors
 from .kernels import bound_kernel, transmit_kernel, volume_kernel
+from .medium import may_vary
 from .table import MediaState, VolumeData
 
 
@@ -23,7 +24,7 @@ class VolumeKernels:
     scatter: wp.Kernel
     cross: wp.Kernel
     transmit: wp.Kernel
-    bound: wp.Kernel | None  # None: no program gives coefficients
+    bound: wp.Kernel | None  # None: no program gives coefficients that vary
     store_numbers: wp.Kernel | None  # None: no program reads grids
     store_vectors: wp.Kernel | None
 
@@ -42,7 +43,7 @@ class VolumeKernels:
             volume_kernel(needs, out_of_line),
             cross_kernel(needs.instancing, needs.smooth_normals, needs.curves, needs.moving),
             transmit_kernel(needs, out_of_line),
-            bound_kernel(needs) if features.volume_program else None,
+            bound_kernel(needs) if may_vary(features.volume_program) else None,
             store_numbers if reads else None,
             store_vectors if reads else None,
         )

@@ -12,6 +12,7 @@ from ....film.tile import FilmTile
 from ....rays import Rays
 from ....scene.description import ClosureKind, Visibility
 from ....scene.features import narrow
+from ....scene.passes import shows_colors
 from ....shading.bsdf.bsdf import (
     DELTA,
     DIFFUSE,
@@ -103,7 +104,8 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
     note_surface = make_note_surface(kinds) if features.guides else None
     record_surface = None
     if features.records_surfaces:
-        record_surface = make_record_surface(kinds, features.transparency, features.catchers)
+        colors = shows_colors(features.passes)
+        record_surface = make_record_surface(kinds, features.transparency, colors, features.catchers)
     blur = make_blur(kinds)
     leave_out_caustics = make_leave_out_caustics(kinds, features.caustics_reflective, features.caustics_refractive)
 
