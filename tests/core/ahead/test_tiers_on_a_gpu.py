@@ -1,14 +1,14 @@
 """General kernels on a GPU give the films of specialised ones, bit for bit.
 
-CUDA's compiler takes minutes for them, so they are not compiled here: the folder of shipped kernels must hold those for
-the device (`scripts/package.py` makes them).
+CUDA's compiler takes minutes for them, so they are not compiled here: they must be among the shipped kernels
+(`scripts/package.py` makes them), or compiled before (`render.py --prewarm --device cuda:0`).
 """
 
 import numpy as np
 import pytest
 import warp as wp
 
-from raybatch_addon.core.device.devices import shipped_target
+from raybatch_addon.core.device.devices import is_compiled
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.wavefront.tier import VARIABLE, general_kernels
 from tests.support import schedule_scenes
@@ -33,14 +33,14 @@ SCENES |= {name: (lambda name=name: ALL_FEATURES[name][0], ALL_FEATURES[name][1]
 
 @pytest.fixture(autouse=True)
 def shipped(monkeypatch):
-    """Tiers are chosen as for a user; skips where there are no shipped kernels for the device."""
+    """Tiers are chosen as for a user; skips where there are no general kernels for the device."""
     monkeypatch.delenv(VARIABLE, raising=False)
     device = wp.get_device(DEVICE)
     if device.is_cpu:
         pytest.skip("on a GPU alone")
     general_kernels(wp.get_device("cpu"))  # as in Blender, where a process knows those of both devices
-    if not all(shipped_target(kernel, device) for kernel in general_kernels(device)):
-        pytest.skip(f"no shipped kernels for {device.name}")
+    if not all(is_compiled(kernel, device) for kernel in general_kernels(device)):
+        pytest.skip(f"no general kernels for {device.name}")
 
 
 @pytest.mark.parametrize("name", list(SCENES))
