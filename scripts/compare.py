@@ -71,6 +71,14 @@ def argument_parser() -> argparse.ArgumentParser:
     )
     add("--threads", type=int, default=0, metavar="N", help="of each engine (default: 0, one a core)")
     add(
+        "--kernels",
+        choices=("AUTO", "GENERAL", "SPECIALISED"),
+        default="AUTO",
+        help="RayBatch's setting Kernels: by AUTO a file that is new to it is rendered by general ones, if they are "
+        "compiled; SPECIALISED ones are those of a file that was rendered for long before, and here the first picture "
+        "waits for them (default: %(default)s)",
+    )
+    add(
         "--limit",
         type=float,
         default=600.0,

@@ -42,6 +42,7 @@ def compare(options: argparse.Namespace, root: Path, script: Path, standard_outp
         "threads": options.threads,
         "repeats": options.repeats,
         "defaults": options.defaults,
+        "kernels": options.kernels,
         "kernel_cache": "the user's" if kernel_cache is None else COLD if kernel_cache == COLD else "a copy",
     }
     reporter = _Reporter(records, root, request if files else _kept_request(records.folder.parent), options.note)

@@ -74,14 +74,17 @@ def with_findings(report: dict[str, Any], listing: list[dict[str, Any]]) -> str:
     """The page's text, from a report as `results.json` keeps it and the list."""
     about = {f"{entry['repository']}/{entry['path']}": entry for entry in listing}
     versions = ", ".join(f"{name} {value}" for name, value in report["versions"].items())
-    # requests of earlier comparisons know neither
+    # requests of earlier comparisons know none of these
     repeats, defaults = report["request"].get("repeats", 1), report["request"].get("defaults", False)
+    kernels = report["request"].get("kernels", "AUTO")
     note = "\n\n" + "\n".join(wrapped(report["note"])) if report.get("note") else ""
     lines = [
         _HEAD.format(
             width=report["request"]["width"],
             samples=report["request"]["samples"],
-            more=f" --repeats {repeats}" * (repeats > 1) + " --defaults" * defaults,
+            more=f" --repeats {repeats}" * (repeats > 1)
+            + " --defaults" * defaults
+            + f" --kernels {kernels}" * (kernels != "AUTO"),
             how=f"{how_rendered(defaults)}, each in a process of its own. {versions}.{note}",
             kernel_cache=_KERNEL_CACHES[report["request"]["kernel_cache"]],
             counted=counted(report["summary"]),

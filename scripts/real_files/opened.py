@@ -27,10 +27,11 @@ class FileError(RayBatchError):
 class OpenFile:
     """The open .blend, rendered by one engine."""
 
-    def __init__(self, path: str, engine: str, width: int, threads: int, defaults: bool):
+    def __init__(self, path: str, engine: str, width: int, threads: int, defaults: bool, kernels: str = "AUTO"):
         """Open `path` for `engine`, with RayBatch registered; raises `FileError`.
 
-        `defaults`: engines render with their own settings as they are in a new scene, and without denoising.
+        `defaults`: engines render with their own settings as they are in a new scene, and without denoising. `kernels`:
+        RayBatch's setting `kernel_tier`.
         """
         try:
             bpy.ops.wm.open_mainfile(filepath=path, load_ui=False, use_scripts=False)
@@ -58,6 +59,7 @@ class OpenFile:
             clamp_indirect=0.0,
             thread_count=threads,
             device="cpu",
+            kernel_tier=kernels,
         )
         self._prepare(width, threads)
 
@@ -79,7 +81,7 @@ class OpenFile:
         for layer in scene.view_layers:
             layer.use = layer == used[0]
         values = self._values()
-        for name in ("device", "thread_count") if self._defaults else values:
+        for name in ("device", "thread_count", "kernel_tier") if self._defaults else values:
             assign_setting(scene.raybatch, name, values[name])
         shape = render.resolution_y * render.pixel_aspect_y / (render.resolution_x * render.pixel_aspect_x)
         render.resolution_percentage = 100

@@ -111,7 +111,14 @@ def _opened(steps: Steps, request: dict):
 
     return steps.run(
         "open",
-        lambda: OpenFile(request["file"], request["engine"], request["width"], request["threads"], request["defaults"]),
+        lambda: OpenFile(
+            request["file"],
+            request["engine"],
+            request["width"],
+            request["threads"],
+            request["defaults"],
+            request["kernels"],
+        ),
     )
 
 

@@ -29,6 +29,7 @@ from tables.marked_text import with_part, write_or_check
 PAGE = ROOT / "docs" / "studies" / "equal-error.md"
 DATA = ROOT / "docs" / "studies" / "data" / "equal-error.json"
 LISTING = ROOT / "docs" / "real-files.json"
+_KERNELS = {"SPECIALISED": ", kernels of the file compiled", "GENERAL": ", general kernels"}
 MARKS = "<!-- equal error: made by scripts/tables/equal_error_table.py -->", "<!-- end of equal error -->"
 TIME = "time"
 WIDTH = 160  # pixels: what the page takes for granted; others are stated
@@ -53,8 +54,8 @@ def kept(report: dict[str, Any]) -> dict[str, Any]:
             "left_out": len(row["left_out"]),
         }
     request = report["request"]
-    asked = {name: request.get(name) for name in ("width", "samples", "repeats", "defaults")}
-    return {"request": asked, "versions": report["versions"], "note": report["note"], "files": files}
+    rendered = {name: request.get(name) for name in ("width", "samples", "repeats", "defaults", "kernels")}
+    return {"request": rendered, "versions": report["versions"], "note": report["note"], "files": files}
 
 
 def known_to_differ() -> set[str]:
@@ -78,9 +79,9 @@ def tables(data: list[dict[str, Any]]) -> str:
     for run in data:
         for title, files in _groups(run["files"]).items():
             if files:
-                lines.append(row([f"{_asked(run['request'])}: {title}", *_medians(files), str(len(files))]))
+                lines.append(row([f"{asked(run['request'])}: {title}", *_medians(files), str(len(files))]))
     names = sorted({name for run in data for name in run["files"]}, key=str.lower)
-    heads = ["file", *(f"{_asked(run['request'])}: {what}" for run in data for what in (VARIANCE, TIME, EQUAL))]
+    heads = ["file", *(f"{asked(run['request'])}: {what}" for run in data for what in (VARIANCE, TIME, EQUAL))]
     lines += ["", row(heads), row(["---"] * len(heads))]
     for group in ("same picture", "another picture"):
         for name in names:
@@ -89,7 +90,7 @@ def tables(data: list[dict[str, Any]]) -> str:
                 continue
             cells = [_cell(each, what) for each in found for what in (VARIANCE, TIME, EQUAL)]
             lines.append(row([name + (" (differs)" if group == "another picture" else ""), *cells]))
-    notes = [f"- {_asked(run['request'])}: {run['note']}" for run in data if run["note"]]
+    notes = [f"- {asked(run['request'])}: {run['note']}" for run in data if run["note"]]
     return "\n".join([*lines, *([""] if notes else []), *notes])
 
 
@@ -123,9 +124,11 @@ def _cell(found: dict[str, Any] | None, what: str) -> str:
     return f"{statistics.median(values):.3g}{worst}"
 
 
-def _asked(request: dict[str, Any]) -> str:
+def asked(request: dict[str, Any]) -> str:
+    """What was rendered, in words: samples, and what is not as usual."""
     width = f", {request['width']} pixels wide" * (request["width"] != WIDTH)
-    return f"{request['samples']} samples{width}" + (", own defaults" if request["defaults"] else "")
+    own = ", own defaults" * request["defaults"]
+    return f"{request['samples']} samples{width}{own}" + _KERNELS.get(request.get("kernels"), "")
 
 
 def row(cells: Iterable[str]) -> str:

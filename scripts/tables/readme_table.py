@@ -37,8 +37,7 @@ def table(runs: list[dict[str, Any]], reports: list[dict[str, Any]]) -> str:
     lines = [row(HEADS), row(["---"] * len(HEADS))]
     for run in runs:
         ratios = {name: [each[what] for what in COLUMNS] for name, each in run["files"].items() if each["same"]}
-        defaults = ", own defaults" if run["request"]["defaults"] else ""
-        lines.append(_line(f"two cores, {run['request']['samples']} samples{defaults}", ratios))
+        lines.append(_line(f"two cores, {equal_error_table.asked(run['request'])}", ratios))
     same = [each for each in reports if each["scene"] not in known_to_differ()]
     names = (gpu_slopes_table.VARIANCE, gpu_slopes_table.SLOPE, gpu_slopes_table.EQUAL)
     ratios = {each["scene"]: [[each[name]] for name in names] for each in same}

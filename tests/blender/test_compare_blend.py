@@ -97,6 +97,16 @@ def test_a_scene_without_a_camera_in_which_nothing_is_to_be_seen_is_a_row_that_s
     assert done.returncode == 1 and "has no camera, and nothing that one could see" in done.stderr
 
 
+@pytest.mark.parametrize("defaults", [False, True])
+def test_the_kernels_that_are_asked_for_render(blend, defaults):
+    from real_files.opened import RAYBATCH, OpenFile
+
+    OpenFile(str(blend), RAYBATCH, 48, 1, defaults, "SPECIALISED")
+    assert bpy.context.scene.raybatch.kernel_tier == "SPECIALISED"
+    OpenFile(str(blend), RAYBATCH, 48, 1, defaults)
+    assert bpy.context.scene.raybatch.kernel_tier == "AUTO"
+
+
 def test_materials_of_a_library_are_put_on_balls(scene, tmp_path):
     from real_files.opened import RAYBATCH, OpenFile
 

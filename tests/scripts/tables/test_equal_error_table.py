@@ -63,3 +63,12 @@ def test_a_file_known_to_differ_is_apart_where_noise_hides_it(tmp_path, monkeypa
     equal_error_table.DATA.write_text(json.dumps([equal_error_table.kept(made)]), encoding="utf-8")
     files = equal_error_table.known()[0]["files"]
     assert not files[name]["same"] and files["a/other.blend"]["same"]
+
+
+def test_what_was_rendered_is_said_in_words():
+    request = {"width": 160, "samples": 32, "defaults": False}
+    assert equal_error_table.asked(request) == "32 samples"
+    assert equal_error_table.asked(request | {"kernels": "SPECIALISED"}) == "32 samples, kernels of the file compiled"
+    assert equal_error_table.asked(request | {"width": 480, "defaults": True}) == (
+        "32 samples, 480 pixels wide, own defaults"
+    )

@@ -19,7 +19,7 @@ def test_files_that_differ_do_not_count_and_the_worst_is_named():
         "a/two.blend": file_row(2.0, 3.0),
         "a/b.blend": file_row(9.0, 9.0, False),
     }
-    runs = [{"files": files, "request": {"samples": 32, "defaults": False}}]
+    runs = [{"files": files, "request": {"width": 160, "samples": 32, "defaults": False}}]
     figures = {
         "variance_raybatch_over_cycles": 0.5,
         "slope_raybatch_over_cycles": 0.25,
