@@ -47,23 +47,39 @@ class SampledWorld:
     irradiance: np.ndarray  # float64, shape [9]
 
 
-def sampled_world(light: np.ndarray, device: wp.Device, even: bool = False) -> SampledWorld:
-    """The world whose texels have the brightness `light`; see `build_world_table`. `even`: its table has one texel."""
-    texels = np.ones((1, 1), np.float32) if even else light
-    return SampledWorld(build_world_table(texels, device), _irradiance(light))
+def sampled_world(light: np.ndarray, device: wp.Device, even: bool = False, beside_rays: bool = False) -> SampledWorld:
+    """The world whose texels have the brightness `light`; see `build_world_table`. `even`: its table has one texel.
+
+    `beside_rays`: rays that surfaces scatter find the world too, and both ways are weighed against each other. Then
+    only what is brighter than the mean is aimed at, and the world competes with other emitters by that alone: the rest
+    is found as well by the rays (Karlik, Sik, Vevoda, Skrivan and Krivanek 2019, "MIS Compensation: Optimizing Sampling
+    Techniques in Multiple Importance Sampling", section 4).
+    """
+    aimed = np.maximum(light - np.float32(_mean(light)), 0) if beside_rays else light
+    texels = np.ones((1, 1), np.float32) if even else aimed
+    return SampledWorld(build_world_table(texels, device), _irradiance(aimed))
 
 
 def is_even(light: np.ndarray) -> bool:
     """Whether texels hardly differ, so that rays which surfaces scatter find the light better by themselves: by the
     variance over the sphere beside the square of the mean. `light` is that of `build_world_table`.
     """
+    largest = max(float(light.max()), 1e-30)  # squares of what is scaled by it are in range
+    mean = _mean(light) / largest
+    squares = [float(np.square(row.astype(np.float64) / largest - mean).sum()) for row in light]
+    return bool(_texel_shares(light) @ np.array(squares) <= _EVEN * mean**2)
+
+
+def _texel_shares(light: np.ndarray) -> np.ndarray:
+    """Share of the sphere that a texel of each row covers, float64, shape [height]."""
     height, width = light.shape
     edges = np.cos(np.arange(height + 1) * (np.pi / height))
-    weight = (edges[:-1] - edges[1:]) / (2 * width)  # of a texel in each row
-    largest = max(float(light.max()), 1e-30)  # squares of what is scaled by it are in range
-    mean = float(weight @ light.sum(1, dtype=np.float64)) / largest
-    squares = [float(np.square(row.astype(np.float64) / largest - mean).sum()) for row in light]
-    return bool(weight @ np.array(squares) <= _EVEN * mean**2)
+    return (edges[:-1] - edges[1:]) / (2 * width)
+
+
+def _mean(light: np.ndarray) -> float:
+    """Mean over the sphere."""
+    return float(_texel_shares(light) @ light.sum(1, dtype=np.float64))
 
 
 def _irradiance(light: np.ndarray) -> np.ndarray:

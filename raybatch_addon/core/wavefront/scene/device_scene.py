@@ -223,7 +223,8 @@ def _program_light(
     if not features.world_light:
         worlds.clear()
     else:
-        world = worlds.get(scene, device, lambda: world_texels(data, shading, scene.world.sampling_size, device))
+        size = scene.world.sampling_size
+        world = worlds.get(scene, device, lambda: world_texels(data, shading, size, device), features.mis)
     if features.lamp_program:
         lamps = functools.partial(brightness_of_lamps, scene, data, shading, device)
     return emitted, world, lamps

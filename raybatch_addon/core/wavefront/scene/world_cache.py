@@ -33,21 +33,23 @@ class WorldCache:
         """Forget it."""
         self._last.clear()
 
-    def get(self, scene: Scene, device: wp.Device, texels: Callable[[], np.ndarray]) -> SampledWorld | None:
+    def get(
+        self, scene: Scene, device: wp.Device, texels: Callable[[], np.ndarray], mis: bool = True
+    ) -> SampledWorld | None:
         """The world of `scene`; None for one that is the same everywhere and has no portals, which is not sampled.
         `texels()` computes the brightness of its texels, and is called unless this is the world of the last call, with
-        the same frozen images.
+        the same frozen images. `mis`: light that scattered rays meet is weighed against light that is aimed at.
         """
         varies, has_portals = _may_vary(scene.world), bool(scene.world.portals)
 
         def made() -> SampledWorld | None:
             light = texels()
             if varies or not is_even(light):
-                return sampled_world(light, device)
+                return sampled_world(light, device, beside_rays=mis and not has_portals)
             return sampled_world(light, device, even=True) if has_portals else None
 
         pixels, values = _key(scene, device)
-        return self._last.get((pixels, (*values, varies, has_portals)), made)
+        return self._last.get((pixels, (*values, varies, has_portals, mis)), made)
 
 
 def _may_vary(world: World) -> bool:

@@ -1,8 +1,9 @@
 """Probabilities of a world's texels."""
 
 import numpy as np
+import warp as wp
 
-from raybatch_addon.core.shading.lights.world import build_world_table
+from raybatch_addon.core.shading.lights.world import build_world_table, sampled_world
 from tests.support.under_test import DEVICE
 
 
@@ -26,3 +27,26 @@ def test_texels_around_a_sun_are_not_forgotten():
 
 def test_an_even_world_is_sampled_evenly():
     assert np.allclose(probabilities(np.ones((8, 16))), 1 / 16)
+
+
+def test_beside_rays_only_what_is_brighter_than_the_mean_is_aimed_at():
+    """And only that competes with other emitters; all that light may come from keeps a probability."""
+    light = np.full((16, 32), 2.0, np.float32)
+    light[4, 6:8] = 50.0
+    row = np.cos(np.arange(17) * np.pi / 16)
+    mean = float((light.mean(1) * (row[:-1] - row[1:]) / 2).sum())
+    excess = np.maximum(light - np.float32(mean), 0)
+    found = sampled_world(light, wp.get_device(DEVICE), beside_rays=True)
+    np.testing.assert_allclose(
+        found.irradiance, sampled_world(excess, wp.get_device(DEVICE)).irradiance, rtol=1e-4, atol=1e-6
+    )
+    rows = np.diff(found.table.row_first.numpy().astype(np.float64), append=2.0**32)
+    assert rows[4] > 0.8 * 2**32 and rows.min() > 0
+
+
+def test_an_even_world_beside_rays_leaves_other_emitters_alone():
+    found = sampled_world(np.full((8, 16), 3.0, np.float32), wp.get_device(DEVICE), beside_rays=True)
+    assert np.abs(found.irradiance).max() < 1e-5
+    assert np.array_equal(
+        np.diff(found.table.texel_first.numpy().reshape(8, 16).astype(np.int64)) > 0, np.full((8, 15), True)
+    )
