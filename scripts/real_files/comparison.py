@@ -42,9 +42,10 @@ def compare(options: argparse.Namespace, root: Path, script: Path, standard_outp
         "threads": options.threads,
         "repeats": options.repeats,
         "defaults": options.defaults,
-        "kernels": options.kernels,
         "kernel_cache": "the user's" if kernel_cache is None else COLD if kernel_cache == COLD else "a copy",
     }
+    if options.kernels != "AUTO":  # else the request is that of comparisons before there was a choice
+        request["kernels"] = options.kernels
     reporter = _Reporter(records, root, request if files else _kept_request(records.folder.parent), options.note)
     for number, file in enumerate(files):
         start = time.monotonic()

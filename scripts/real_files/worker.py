@@ -117,7 +117,7 @@ def _opened(steps: Steps, request: dict):
             request["width"],
             request["threads"],
             request["defaults"],
-            request["kernels"],
+            request.get("kernels", "AUTO"),
         ),
     )
 

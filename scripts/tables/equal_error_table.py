@@ -127,7 +127,7 @@ def _cell(found: dict[str, Any] | None, what: str) -> str:
 def asked(request: dict[str, Any]) -> str:
     """What was rendered, in words: samples, and what is not as usual."""
     width = f", {request['width']} pixels wide" * (request["width"] != WIDTH)
-    own = ", own defaults" * request["defaults"]
+    own = ", own defaults" * bool(request["defaults"])
     return f"{request['samples']} samples{width}{own}" + _KERNELS.get(request.get("kernels"), "")
 
 

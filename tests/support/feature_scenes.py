@@ -296,6 +296,7 @@ def under_sky(surface=None, portal=False) -> Scene:
 
 
 GUIDED = Frame(32, 32, passes=("Combined", *GUIDE_PASSES))
+PARTED = ("Depth", "Mist", "CryptoObject00", "Emission", "Environment", "Diffuse Direct", "Diffuse Indirect")
 CYCLES_SETTINGS = {
     "diffuse_bounce_max": 1,
     "glossy_bounce_max": 1,
@@ -342,6 +343,7 @@ EACH_FEATURE = {
     },
     "stereo": (seen_by(CameraKind.PERSPECTIVE, 0.0, SphericalStereo(0.03, 2.0)), {}),
     "stereo with a lens": (seen_by(CameraKind.PERSPECTIVE, 0.1, SphericalStereo(0.0, 2.0)), {}),
+    "lamp program without a shadow": (lit(lamp=dataclasses.replace(lamp_program(), casts_shadow=False)), {}),
     "occlusion": (lit(asking("ambient_occlusion")), {}),
     "rounded edges": (lit(asking("bevel")), {"bounce_max": 3}),
     "the pass of occlusion": (lit(veil(), Frame(32, 32, passes=("Combined", OCCLUSION_PASS))), {}),
@@ -364,6 +366,7 @@ EACH_WIDE_FEATURE = {
     "filter glossy": (lit(shiny()), {"filter_glossy": 1.0}),
     "no caustics": (lit(shiny()), {"caustics_reflective": "OFF", "bounce_max": 4}),
     "a denoiser's passes": (lit(veil(), GUIDED), {}),
+    "all passes of a program": (lit(glowing(), Frame(32, 32, passes=(*GUIDED.passes, *PARTED))), {"bounce_max": 3}),
     "toon": (lit(toon()), {}),
     "shadow catchers": (lit(veil(), CAUGHT, CATCHES), {}),
     "a shadow catcher that shines": (lit(glowing(), CAUGHT, CATCHES), {}),

@@ -37,6 +37,21 @@ def transparent_parts(programs: Sequence[Program | None]) -> list[Program | None
     return [known[id(program)] if program is not None else None for program in programs]
 
 
+def outputs_read(instructions: Sequence[Instruction], op: str) -> set[int]:
+    """Numbers, from 0, of the outputs of `op` that later steps read."""
+    written: dict[int, int] = {}  # by register
+    found = set()
+    for step in instructions:
+        signature = op_named(step.op).signature
+        found |= {written[register] for register in _registers(signature, step.words, "nv") if register in written}
+        for register in _registers(signature, step.words, "NV"):
+            written.pop(register, None)
+        if step.op == op:
+            outputs = [word for letter, word in zip(signature, step.words) if letter in "NV"]
+            written |= {word: number for number, word in enumerate(outputs) if word >= 0}
+    return found
+
+
 def _registers(signature: str, words: tuple[int, ...], letters: str) -> set[int]:
     """The registers of operands with one of `letters`."""
     found: set[int] = set()

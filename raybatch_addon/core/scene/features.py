@@ -37,6 +37,8 @@ T = TypeVar("T", bound="DataclassInstance")
 # Kinds that scatter; the others emit or let light pass
 SCATTERING = tuple(k for k in ClosureKind if k not in (ClosureKind.EMISSION, ClosureKind.TRANSPARENT))
 
+# Rays that surfaces scatter
+_SCATTERED = int(Visibility.DIFFUSE | Visibility.GLOSSY | Visibility.TRANSMISSION)
 
 # Ops that ask how a path came to a point
 PATH_HISTORY_OPS = frozenset(("path_history", "portal_depth"))
@@ -248,7 +250,9 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
     if volumes:
         kinds.add(ClosureKind.TRANSPARENT)  # shadow rays go from surface to surface
     world, is_sampled = scene.world, (surfaces or bool(volumes)) and settings.nee != "OFF"
-    world_light = is_sampled and world.program is not None and world.sampling_size > 0
+    # what no ray sees that surfaces or volumes scatter lights nothing
+    lights = bool(volumes) or bool(int(world.visibility) & _SCATTERED)
+    world_light = is_sampled and lights and world.program is not None and world.sampling_size > 0
     return SceneFeatures(
         closures=tuple(sorted(kinds)),
         closure_count=max((len(material.closures) for material in scene.materials), default=0) if surfaces else 0,

@@ -104,7 +104,9 @@ def _chosen(features: SceneFeatures, shading: SceneFeatures, is_cuda: bool, out_
         generate_active=generate_active_kernel(_generate_features(features, shading)) if features.adaptive else None,
         settle=settle_kernel,
         walk=walk_kernel(narrow(walked, WalkFeatures)) if features.subsurface else None,
-        volumes=VolumeKernels.choose(features, _shading_of_volumes(features, shading), out_of_line),
+        volumes=VolumeKernels.choose(
+            features, _shading_of_volumes(features, shading), out_of_line and not shading.programs.apart
+        ),
         shading=_shading_kernels(features, shading, stages, is_cuda, out_of_line),
         accumulate=accumulate_kernel(layout),
         resolve=resolve_kernel(layout),
@@ -127,7 +129,8 @@ def _shading_kernels(
 ) -> dict[ShadingStage, wp.Kernel]:
     """Kernels of `stages`. Where `shading` is that of all scenes, stages that run a program are one kernel; it takes so
     many registers that a GPU has few threads of it, so the others are kernels of their own, and in them what few scenes
-    have is left out (`is_wide`). For a scene that has it, a CPU takes the large kernel for all stages.
+    have is left out (`is_wide`). For a scene that has it, a CPU takes the large kernel for all stages, but for surfaces
+    where that is a denoiser's guides alone (`is_common`).
 
     `aims_apart`: whether light is aimed at by a kernel of its own, or by that at surfaces; `out_of_line`: how
     specialised kernels are compiled.
@@ -155,8 +158,10 @@ def _shading_kernels(
         in_one = narrow(needed, AimFeatures)
     simple = _stage_functions(without_programs(needed), in_one, shading.world_light)
     simple[ShadingStage.AIM] = _stage_functions(needed, None)[ShadingStage.AIM]
-    if aims_apart:  # where light is not aimed at, the programs of world and lamps are not run, but may be weighed
-        weighing = dataclasses.replace(without_programs(needed), world_light=shading.world_light)
+    if aims_apart:  # where light is not aimed at, programs of world and lamps are not run, but how they count is known
+        weighing = dataclasses.replace(
+            without_programs(needed), world_light=shading.world_light, lamp_program=shading.lamp_program
+        )
         simple[ShadingStage.SURFACE] = _stage_functions(weighing, None)[ShadingStage.SURFACE]
     has_simple = aims_apart or not wide
     found = {

@@ -20,6 +20,8 @@ CHOSEN = (
     "everything",
     "subsurface",
     "lamp program behind what is transparent",
+    "lamp program without a shadow",
+    "all passes of a program",
     "transparent with a program that asks for history",
     "settings of Cycles, and a denoiser's passes",
     "moving, transparent with a program",

@@ -68,3 +68,13 @@ def test_ops_that_read_no_more_than_the_object_are_uniform():
     assert is_uniform(("object_info", "object_location", "object_attribute", "math", "color_ramp", "noise_3d"))
     for name in ("position", "object_coordinates", "generated", "volume_attribute", "light_path", "attribute"):
         assert not is_uniform(("math", name)), name
+
+
+def test_coefficients_whose_sum_is_beyond_float32_let_nothing_pass(session):
+    """They scatter too, and no sample is lost."""
+    builder = ProgramBuilder()
+    for name, more in (("volume_absorption", ()), ("volume_absorption", ()), ("volume_henyey_greenstein", (0.0,))):
+        builder.closure(name, builder.value("object_info")[0], *more)
+    view = scenes.camera(eye=(0, -4, 0), half_width=0.01)
+    found = picture(session, colored(in_box(Volume(program=builder.finish()), view, lamp=1.0), (3e38, 3e38, 3e38)))
+    assert found.min() >= 0 and found.max() < 1

@@ -1,4 +1,5 @@
-"""Sampling of a world whose radiance varies: a table of directions, each as likely as it is bright.
+"""Sampling of a world whose radiance varies: a table of directions, each as likely as it is bright, or brighter than
+the mean.
 
 The sphere of directions is cut into texels, equal steps of the angles around and away from +Z. A texel is chosen with a
 probability in proportion to its light (Pharr, Jakob and Humphreys 2023, section 12.5.2), and a direction within it
@@ -43,7 +44,8 @@ class SampledWorld:
     """A world that is sampled."""
 
     table: WorldTable
-    # irradiance of a surface with the normal n: coefficients of 1, y, z, x, xy, yz, 3 z² - 1, xz, x² - y²
+    # irradiance, by what is sampled, of a surface with the normal n: coefficients of 1, y, z, x, xy, yz, 3 z² - 1, xz,
+    # x² - y²
     irradiance: np.ndarray  # float64, shape [9]
 
 
@@ -79,7 +81,7 @@ def _texel_shares(light: np.ndarray) -> np.ndarray:
 
 def _mean(light: np.ndarray) -> float:
     """Mean over the sphere."""
-    return float(_texel_shares(light) @ light.sum(1, dtype=np.float64))
+    return float((_texel_shares(light) * light.sum(1, dtype=np.float64)).sum())
 
 
 def _irradiance(light: np.ndarray) -> np.ndarray:

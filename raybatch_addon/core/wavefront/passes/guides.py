@@ -18,6 +18,7 @@ from ...shading.bsdf.albedo import AlbedoTables
 from ...shading.bsdf.facets import make_facets
 from ...shading.bsdf.lobes import make_lobes
 from ...shading.bsdf.materials import MICROFACET_KINDS, ClosureFeatures
+from ...shading.bsdf.normals import make_normals
 from ..rays import Paths
 from ..stages.limits import has_light
 from .colors import ClosuresInView
@@ -53,6 +54,7 @@ def make_note_surface(features: ClosureFeatures) -> wp.Function:
     is_facets, has_facets = features.test(MICROFACET_KINDS - {_K.SUBSURFACE}), has(*MICROFACET_KINDS - {_K.SUBSURFACE})
     is_clear = features.test((_K.GLASS, _K.REFRACTION))
     has_transparent, has_portal = has(_K.TRANSPARENT), has(_K.RAY_PORTAL)
+    own_normal = make_normals(features.own_normals)[1]
 
     @wp.func
     def note_surface(paths: Paths, path: int, view: ClosuresInView, tables: AlbedoTables, distance: float):
@@ -93,7 +95,12 @@ def make_note_surface(features: ClosureFeatures) -> wp.Function:
                 if total > 0.0 and total < wp.inf:
                     color = (lobe.selection / total) * color
                 share += lobe.selection
-                normal += lobe.selection * lobe.normal
+                # facets are about a normal that is bent where it would mirror the view into the surface
+                about = own_normal(view.closures, c, view.frame)
+                if wp.static(has_facets):
+                    if is_facets(view.closures[c].kind):
+                        about = lobe.normal
+                normal += lobe.selection * about
                 if is_rough:
                     rough_share += lobe.selection
                     rough += color

@@ -111,7 +111,7 @@ def record_background(work: TileWork, paths: Paths, film: FilmTile, path: int):
 
 @functools.cache
 def make_record_surface(
-    features: ClosureFeatures, transparency: bool, colors: bool = True, catchers: bool = False
+    features: ClosureFeatures, transparency: bool, colors: bool, catchers: bool = False
 ) -> wp.Function:
     """Function (data, paths, rays, film, path: int, v: Vertex, view: ClosuresInView): what passes show of a surface
     that a path meets before it scatters. Depth, Position and Normal are among them where surfaces may be transparent

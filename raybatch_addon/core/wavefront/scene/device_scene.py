@@ -224,7 +224,9 @@ def _program_light(
         worlds.clear()
     else:
         size = scene.world.sampling_size
-        world = worlds.get(scene, device, lambda: world_texels(data, shading, size, device), features.mis)
+        # along a ray through a volume light is looked for wherever it may scatter, and mostly it does not
+        beside_rays = features.mis and not features.volumes
+        world = worlds.get(scene, device, lambda: world_texels(data, shading, size, device), beside_rays)
     if features.lamp_program:
         lamps = functools.partial(brightness_of_lamps, scene, data, shading, device)
     return emitted, world, lamps

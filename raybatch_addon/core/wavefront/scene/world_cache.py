@@ -9,12 +9,14 @@ from collections.abc import Callable
 import numpy as np
 import warp as wp
 
+from ...programs.parts import outputs_read
 from ...scene.description import Scene, World
 from ...shading.lights.visibility import SCATTERED_RAYS
 from ...shading.lights.world import SampledWorld, is_even, sampled_world
 from .unchanged import Last, camera_key, images_of, pictures_of
 
-_OF_RAYS = {"light_path", "path_history", "portal_depth"}  # ops
+_OF_RAYS = {"path_history", "portal_depth"}  # ops
+_IS_CAMERA_RAY = 0  # output of the op `light_path`; of scattered rays none is one
 
 
 class WorldCache:
@@ -34,30 +36,32 @@ class WorldCache:
         self._last.clear()
 
     def get(
-        self, scene: Scene, device: wp.Device, texels: Callable[[], np.ndarray], mis: bool = True
+        self, scene: Scene, device: wp.Device, texels: Callable[[], np.ndarray], beside_rays: bool
     ) -> SampledWorld | None:
         """The world of `scene`; None for one that is the same everywhere and has no portals, which is not sampled.
         `texels()` computes the brightness of its texels, and is called unless this is the world of the last call, with
-        the same frozen images. `mis`: light that scattered rays meet is weighed against light that is aimed at.
+        the same frozen images. `beside_rays`: nearly each point from which light is aimed at sends a ray that may find
+        the world too, and both are weighed against each other.
         """
         varies, has_portals = _may_vary(scene.world), bool(scene.world.portals)
 
         def made() -> SampledWorld | None:
             light = texels()
             if varies or not is_even(light):
-                return sampled_world(light, device, beside_rays=mis and not has_portals)
+                return sampled_world(light, device, beside_rays=beside_rays and not (varies or has_portals))
             return sampled_world(light, device, even=True) if has_portals else None
 
         pixels, values = _key(scene, device)
-        return self._last.get((pixels, (*values, varies, has_portals, mis)), made)
+        return self._last.get((pixels, (*values, varies, has_portals, beside_rays)), made)
 
 
 def _may_vary(world: World) -> bool:
-    """Whether texels do not show if the world is the same everywhere: where only some kinds of rays see it, or it looks
-    at the ray, of which they know one kind.
+    """Whether texels do not show what scattered rays find: where only some kinds of them see the world, or it looks at
+    the ray, of which texels know one kind.
     """
     in_part = int(world.visibility) & SCATTERED_RAYS not in (0, SCATTERED_RAYS)
-    return in_part or not _OF_RAYS.isdisjoint(world.program.ops)
+    asks = outputs_read(world.program.instructions, "light_path") - {_IS_CAMERA_RAY}
+    return in_part or bool(asks) or not _OF_RAYS.isdisjoint(world.program.ops)
 
 
 def _key(scene: Scene, device: wp.Device) -> tuple[list[np.ndarray | None], tuple]:

@@ -21,6 +21,8 @@ from .table import INSIDE_MOST, VolumeData, entry
 # Scattering closures of a point; those beyond them scatter as the last one
 LOBES_MOST = 16
 PHASE_LOBE_FLOATS = PhaseLobe.numpy_dtype()["itemsize"] // 4
+# Largest coefficient of a closure [1/m]: sums of them are finite
+_DENSEST = 1e18
 # How far a ray goes into the next cell at least [cells]
 _CELL_STEP = 1e-3
 # How far the outermost cells of the world's volume go on [sizes of its grid]: beyond, it is empty
@@ -104,7 +106,9 @@ def make_medium(programs: ProgramFeatures) -> wp.Function:
                     weight = scale * closures[c].weight
                     if kind == wp.static(int(ClosureKind.EMISSION)):
                         m.emission += weight
-                    elif kind == wp.static(int(ClosureKind.VOLUME_ABSORPTION)):
+                    else:
+                        weight = wp.min(weight, wp.vec3(wp.static(_DENSEST)))
+                    if kind == wp.static(int(ClosureKind.VOLUME_ABSORPTION)):
                         m.extinction += weight
                     elif kind > wp.static(int(ClosureKind.VOLUME_ABSORPTION)):
                         m.extinction += weight
@@ -133,8 +137,8 @@ def may_vary(programs: ProgramFeatures) -> bool:
 
 
 def make_constant_medium(programs: ProgramFeatures) -> wp.Function:
-    """`make_medium` for volumes whose coefficients are the same along a ray, in a scene with `programs`: where some may
-    vary, all that are programs count as if they did, but in general kernels, where `VolumeData.varies` says so.
+    """`make_medium` for rays along which nothing varies. Specialised kernels of programs that vary leave all programs
+    out, since rays through them are tracked; general kernels keep them, for scenes where `VolumeData.varies` is 0.
     """
     return make_medium(programs if programs.apart or not may_vary(programs) else ProgramFeatures())
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import warp as wp
 
 from raybatch_addon.core.programs import ops  # noqa: F401  (registers ops)
 from raybatch_addon.core.programs.builder import ProgramBuilder
@@ -11,8 +12,10 @@ from raybatch_addon.core.scene.description import Frame, Image, Visibility, Worl
 from raybatch_addon.core.scene.frozen import freeze
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
+from raybatch_addon.core.shading.lights.world import sampled_world
 from raybatch_addon.core.wavefront.estimates import launch
 from raybatch_addon.core.wavefront.scene import device_scene
+from raybatch_addon.core.wavefront.scene.world_cache import WorldCache
 from tests.support import scenes
 from tests.support.under_test import DEVICE
 
@@ -140,3 +143,65 @@ def test_texels_have_more_points_where_they_differ_from_those_around_them(monkey
     assert (chosen == one)[~differs].all()
     rough = launch._is_rough(one)
     assert rough[differs].all() and rough.sum() < rough.size / 4
+
+
+def of_rays(output):
+    """A world that is as bright as an output of Light Path says."""
+    builder = ProgramBuilder()
+    builder.closure("emission", builder.value("splat", builder.value("light_path")[output]))
+    return World(program=builder.finish(), sampling_size=16)
+
+
+SPOT = np.ones((8, 16), np.float32)
+SPOT[2, 3] = 99.0
+PORTAL = scenes.area_light(0.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    "world, beside_rays, by_excess",
+    [
+        (world_of(), True, True),
+        (world_of(), False, False),
+        (of_rays(0), True, True),  # no scattered ray is one of the camera
+        (of_rays(3), True, False),
+        (replace(world_of(), visibility=Visibility.ALL & ~Visibility.GLOSSY), True, False),
+        (replace(world_of(), portals=(PORTAL,)), True, False),
+    ],
+    ids=["plain", "alone", "camera", "glossy", "seen in part", "portals"],
+)
+def test_what_rays_find_as_well_is_not_aimed_at(world, beside_rays, by_excess):
+    device = wp.get_device(DEVICE)
+    found = WorldCache().get(scene_of(world), device, lambda: SPOT, beside_rays)
+    expected = sampled_world(SPOT, device, beside_rays=by_excess)
+    np.testing.assert_array_equal(found.irradiance, expected.irradiance)
+    np.testing.assert_array_equal(found.table.row_first.numpy(), expected.table.row_first.numpy())
+
+
+def test_a_world_that_only_cameras_tell_apart_is_left_to_rays_where_it_is_even():
+    device = wp.get_device(DEVICE)
+    even = np.ones((8, 16), np.float32)
+    assert WorldCache().get(scene_of(of_rays(0)), device, lambda: even, True) is None
+    assert WorldCache().get(scene_of(of_rays(2)), device, lambda: even, True) is not None
+
+
+@pytest.mark.parametrize("visibility", [Visibility.ALL & ~Visibility.GLOSSY, Visibility.ALL & ~Visibility.TRANSMISSION])
+def test_a_world_that_some_rays_do_not_see_lights_what_they_have_nothing_to_do_with(visibility):
+    """A diffuse floor, beside a lamp, is as bright as in the same world that all rays see."""
+    floor = scenes.plane(), scenes.IDENTITY, scenes.diffuse(0.5)
+    lamp = scenes.area_light(1.0, 0.5, scenes.translation(0, 0, 2))
+    view = scenes.camera(eye=(0, -0.5, 3), half_width=0.1)
+    means = []
+    for seen in (visibility, Visibility.ALL):
+        made = scenes.scene([floor], view=view, frame=Frame(16, 16), lights=[lamp])
+        made = replace(made, world=replace(world_of(), visibility=seen), images=(Image("sky", PIXELS),))
+        film = Session(DEVICE).render(made, SETTINGS.replace(sample_count=256))
+        means.append(film.passes["Combined"][..., :3].mean((0, 1)))
+    np.testing.assert_allclose(means[0], means[1], rtol=0.01)
+
+
+def test_a_world_that_the_camera_alone_sees_lights_nothing():
+    floor = scenes.plane(), scenes.IDENTITY, scenes.diffuse(0.5)
+    made = scenes.scene([floor], view=scenes.camera(eye=(0, -0.5, 3), half_width=0.1), frame=Frame(4, 4))
+    made = replace(made, world=replace(world_of(), visibility=Visibility.CAMERA), images=(Image("sky", PIXELS),))
+    film = Session(DEVICE).render(made, SETTINGS.replace(sample_count=4))
+    assert film.passes["Combined"][..., :3].max() == 0
