@@ -128,7 +128,7 @@ def asked(request: dict[str, Any]) -> str:
     """What was rendered, in words: samples, and what is not as usual."""
     width = f", {request['width']} pixels wide" * (request["width"] != WIDTH)
     own = ", own defaults" * bool(request["defaults"])
-    return f"{request['samples']} samples{width}{own}" + _KERNELS.get(request.get("kernels"), "")
+    return f"{request['samples']} samples{width}{own}" + _KERNELS.get(request.get("kernels") or "AUTO", "")
 
 
 def row(cells: Iterable[str]) -> str:
