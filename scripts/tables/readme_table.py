@@ -38,7 +38,8 @@ def table(runs: list[dict[str, Any]], reports: list[dict[str, Any]]) -> str:
     for run in runs:
         ratios = {name: [each[what] for what in COLUMNS] for name, each in run["files"].items() if each["same"]}
         lines.append(_line(f"two cores, {equal_error_table.asked(run['request'])}", ratios))
-    same = [each for each in reports if each["scene"] not in known_to_differ()]
+    differing = known_to_differ()
+    same = [each for each in reports if each["scene"] not in differing]
     names = (gpu_slopes_table.VARIANCE, gpu_slopes_table.SLOPE, gpu_slopes_table.EQUAL)
     ratios = {each["scene"]: [[each[name]] for name in names] for each in same}
     first, counts = same[0], same[0]["sample_counts"]

@@ -36,6 +36,9 @@ class Visibility(IntFlag):
     VOLUME_SCATTER = 15
 
 
+# Rays that surfaces scatter
+SCATTERED_RAYS = int(Visibility.DIFFUSE | Visibility.GLOSSY | Visibility.TRANSMISSION)
+
 # Light linking: emitters light the receivers of some sets of objects, and the objects of some sets block their light.
 # Bits of all sets; a number of bits that are in sets is an unsigned integer
 LIGHT_SETS, SHADOW_SETS = 64, 21

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from ..settings.settings import RenderSettings
-from .description import CameraKind, ClosureKind, LightKind, Scene, Visibility, Volume
+from .description import SCATTERED_RAYS, CameraKind, ClosureKind, LightKind, Scene, Visibility, Volume
 from .linking import RAY_BITS, catchers, links_lights, links_shadows
 from .motion import apart
 from .passes import (
@@ -36,9 +36,6 @@ if TYPE_CHECKING:
 T = TypeVar("T", bound="DataclassInstance")
 # Kinds that scatter; the others emit or let light pass
 SCATTERING = tuple(k for k in ClosureKind if k not in (ClosureKind.EMISSION, ClosureKind.TRANSPARENT))
-
-# Rays that surfaces scatter
-_SCATTERED = int(Visibility.DIFFUSE | Visibility.GLOSSY | Visibility.TRANSMISSION)
 
 # Ops that ask how a path came to a point
 PATH_HISTORY_OPS = frozenset(("path_history", "portal_depth"))
@@ -251,7 +248,7 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
         kinds.add(ClosureKind.TRANSPARENT)  # shadow rays go from surface to surface
     world, is_sampled = scene.world, (surfaces or bool(volumes)) and settings.nee != "OFF"
     # what no ray sees that surfaces or volumes scatter lights nothing
-    lights = bool(volumes) or bool(int(world.visibility) & _SCATTERED)
+    lights = bool(volumes) or bool(int(world.visibility) & SCATTERED_RAYS)
     world_light = is_sampled and lights and world.program is not None and world.sampling_size > 0
     return SceneFeatures(
         closures=tuple(sorted(kinds)),

@@ -14,13 +14,10 @@ import numpy as np
 
 from ...device.bulk import in_slices
 from ...errors import SceneError
-from ...scene.description import ClosureKind, Light, LightKind, Material, Scene, Visibility
+from ...scene.description import SCATTERED_RAYS, ClosureKind, Light, LightKind, Material, Scene
 from ...scene.frozen import fact, freeze
 from ...scene.motion import apart
 from ...scene.validate import box_of
-
-# Kinds of rays that leave surfaces, where lights are sampled; an emitter that none of them sees lights nothing
-_LIT = int(Visibility.DIFFUSE | Visibility.GLOSSY | Visibility.TRANSMISSION)
 
 # Rounding of cosines that come from sines: where lights are chosen, a cone counts as so much wider
 COSINE_ERROR = 1e-3
@@ -63,7 +60,10 @@ def find_emissive_triangles(
     emits = emission.any(1) | by_program
     chunks: list[tuple[np.ndarray, ...]] = []
     # what moves is not aimed at: where it is, and how wide it is seen, is another matter at each time
-    candidates = np.flatnonzero((instances.visibility & _LIT) * ~apart(scene)) if emits.any() else np.zeros(0, int)
+    # an emitter that no ray sees which surfaces scatter lights nothing
+    candidates = (
+        np.flatnonzero((instances.visibility & SCATTERED_RAYS) * ~apart(scene)) if emits.any() else np.zeros(0, int)
+    )
     for mesh_index in np.flatnonzero(np.bincount(instances.mesh[candidates])).tolist():
         mesh = scene.meshes[mesh_index]
         if len(mesh.triangles) == 0:

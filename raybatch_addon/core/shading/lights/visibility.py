@@ -2,9 +2,7 @@
 
 import warp as wp
 
-from ...scene.description import Visibility
-
-SCATTERED_RAYS = wp.constant(int(Visibility.DIFFUSE | Visibility.GLOSSY | Visibility.TRANSMISSION))
+from ...scene.description import SCATTERED_RAYS
 
 
 @wp.func

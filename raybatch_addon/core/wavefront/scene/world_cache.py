@@ -10,8 +10,7 @@ import numpy as np
 import warp as wp
 
 from ...programs.parts import outputs_read
-from ...scene.description import Scene, World
-from ...shading.lights.visibility import SCATTERED_RAYS
+from ...scene.description import SCATTERED_RAYS, Scene, World
 from ...shading.lights.world import SampledWorld, is_even, sampled_world
 from .unchanged import Last, camera_key, images_of, pictures_of
 
