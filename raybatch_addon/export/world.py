@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -9,7 +10,7 @@ import bpy
 import numpy as np
 
 from ..core.programs.builder import ProgramBuilder
-from ..core.scene.description import ClosureKind, Light, Visibility, World
+from ..core.scene.description import ClosureKind, Light, SkySun, Visibility, World
 from ..core.scene.notice import Notice, Weight, about
 from .nodes.collections import Collections
 from .nodes.compile import compile_graph, compile_volume
@@ -41,7 +42,9 @@ def export_world(world: bpy.types.World | None, warnings: list[str], collections
         volume, notes = compile_volume(output.inputs.get("Volume") if output else None, world, collections)
         warnings += [about(note, f"world “{world.name}”") for note in notes]
     usable = usable_emission(radiance, f"world “{world.name}”", warnings)
-    return World(usable, _visibility(world), program, _sampling_size(world, collections), volume)
+    sun = _sun(collections)
+    size = _sampling_size(world, collections, sun)
+    return World(usable, _visibility(world), program, size, sun=sun, volume=volume)
 
 
 def with_portals(world: World, portals: Sequence[Light]) -> World:
@@ -56,13 +59,22 @@ def with_portals(world: World, portals: Sequence[Light]) -> World:
     return replace(world, program=program, portals=tuple(portals))
 
 
-def _sampling_size(world: bpy.types.World, collections: Collections) -> int:
+def _sun(collections: Collections) -> SkySun | None:
+    """The one sun of the world's skies, where there is one and it is known in which direction it stands."""
+    if len(collections.suns) != 1:
+        return None
+    ((direction, size),) = collections.suns
+    return None if direction is None else SkySun(direction, min(size, math.pi))
+
+
+def _sampling_size(world: bpy.types.World, collections: Collections, sun: SkySun | None) -> int:
     own = getattr(world, "cycles", None)
     method = getattr(own, "sampling_method", "AUTOMATIC")
     if method == "NONE":
         return 0
-    # the table alone aims at the sun of a sky, whatever table size the rest asks for
-    least = min(collections.sun_width, _SUN_SIZE_MOST)
+    # where the table alone aims at suns, the smallest is two texels wide, whatever table size the rest asks for
+    alone = collections.suns if sun is None else ()
+    least = min(max((math.ceil(4.0 * math.pi / size) for _, size in alone), default=0), _SUN_SIZE_MOST)
     if own is not None and method == "MANUAL":
         return min(max(int(own.sample_map_resolution), 4, least), _SAMPLING_SIZE_MOST)
     return min(max(_SAMPLING_SIZE, collections.environment_width, least), _SAMPLING_SIZE_MOST)

@@ -345,6 +345,14 @@ class Image:
 
 
 @dataclass(frozen=True)
+class SkySun:
+    """A disc in the sky, part of what the world's program shows: directions are chosen within it."""
+
+    direction: tuple[float, float, float]  # unit vector towards its middle
+    size: float  # angular diameter [rad], above 0 and at most pi
+
+
+@dataclass(frozen=True)
 class World:
     """Light that comes to rays which leave the scene."""
 
@@ -353,6 +361,8 @@ class World:
     # the sum of its emission closures is the radiance of every direction, instead of `radiance`
     program: Program | None = None
     sampling_size: int = 1024  # texels around the world, by whose brightness a program is sampled; 0: it is not sampled
+    _: KW_ONLY
+    sun: SkySun | None = None  # of `program`, too small for these texels
     volume: Volume | None = None  # what fills all space; None: nothing
     light_group: int = -1  # index into `Scene.light_groups`; -1: no group
     # RECTANGLE, ELLIPSE: openings by which the light of `program` comes to where they shine; they give none themselves

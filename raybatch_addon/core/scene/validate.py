@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Any
 
 import numpy as np
@@ -165,6 +166,10 @@ def _checked_world(world: World, warnings: list[str]) -> World:
             raise SceneError(f"portal “{portal.name}” is a {portal.kind.name}: portals are rectangles or ellipses")
         if world.program is None:
             raise SceneError(f"portal “{portal.name}”: the world has no program, so its light is not sampled")
+    if world.sun is not None:
+        length = float(np.linalg.norm(world.sun.direction))
+        if not (abs(length - 1.0) < 1e-3 and 0.0 < world.sun.size <= math.pi):
+            raise SceneError("the sun of the world: its direction is no unit vector, or its size not within 0 to pi")
     if np.all(np.isfinite(world.radiance)) and min(world.radiance) >= 0:
         return world
     warnings.append("the world's colour or strength is negative or not finite: the world is rendered black")

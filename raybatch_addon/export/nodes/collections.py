@@ -28,7 +28,8 @@ class Collections:
         self.frame = 0  # the scene's frame, for images that change with it
         self.images: list[Image] = []
         self.environment_width = 0  # width of the widest image that worlds show [texels]
-        self.sun_width = 0  # texels around a world so that the smallest sun in the worlds' skies is two texels wide
+        # suns in the worlds' skies: unit vector towards each, None where it is not known, and angular diameter [rad]
+        self.suns: set[tuple[tuple[float, float, float] | None, float]] = set()
         self.warnings: list[str] = []  # messages about images and attributes that cannot be used as they are, by name
         self._image_places: dict[Hashable, int] = {}
         self._attribute_places: dict[tuple[str, str], int] = {}

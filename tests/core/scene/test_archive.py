@@ -79,7 +79,7 @@ def full_scene() -> d.Scene:
         ),
         attributes=(("GEOMETRY", "Größe"), ("COLOR", "")),
         lights=(d.Light("sun", d.LightKind.SUN, matrix, (1.0, 0.9, 0.8), angle=0.01, visibility=d.Visibility.DIFFUSE),),
-        world=d.World((0.1, 0.2, 0.3)),
+        world=d.World((0.1, 0.2, 0.3), sun=d.SkySun((0.0, 0.6, 0.8), 0.01)),
         object_names=("Grün",),
         warnings=("something was left out",),
     )

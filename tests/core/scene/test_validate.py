@@ -7,7 +7,7 @@ import pytest
 
 from raybatch_addon.core.errors import SceneError
 from raybatch_addon.core.film import PASSES
-from raybatch_addon.core.scene.description import Frame, InstanceMaps, World
+from raybatch_addon.core.scene.description import Frame, InstanceMaps, SkySun, World
 from raybatch_addon.core.scene.motion import instance_maps, moving_instances
 from raybatch_addon.core.scene.validate import PASS_NAMES, checked_scene
 from tests.support import scenes
@@ -37,8 +37,11 @@ def with_instances(**changes):
         (dataclasses.replace(plain(), slot_materials=np.array([7], np.int32)), "material that does not exist"),
         (dataclasses.replace(plain(), frame=Frame(4, 4, passes=("Combined", "Fog"))), "Fog"),
         (dataclasses.replace(plain(), camera=scenes.camera(lens_radius=0.1, focus_distance=0.0)), "focus distance"),
+        (dataclasses.replace(plain(), world=World(sun=SkySun((0.0, 0.0, 2.0), 0.01))), "sun of the world"),
+        (dataclasses.replace(plain(), world=World(sun=SkySun((0.0, 0.0, np.nan), 0.01))), "sun of the world"),
+        (dataclasses.replace(plain(), world=World(sun=SkySun((0.0, 0.0, 1.0), 0.0))), "sun of the world"),
     ],
-    ids=range(7),
+    ids=range(10),
 )
 def test_indices_and_numbers_that_lead_nowhere_are_refused_by_name(scene, words):
     with pytest.raises(SceneError, match=words):

@@ -17,7 +17,7 @@ from raybatch_addon.core.scene.features import derive_features
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.shading.lights.portals.portals import portals_pdf, sample_through_portals
 from raybatch_addon.core.shading.lights.table import LightTable, upload_lights
-from raybatch_addon.core.shading.lights.world import sampled_world
+from raybatch_addon.core.shading.lights.world import WorldLight, sampled_world
 from raybatch_addon.core.wavefront.tier import why_not_general
 from tests.support import scenes
 
@@ -142,7 +142,8 @@ def test_densities_add_up(kind, is_even):
     portals = (portal(1.0, 1.5, kind), portal(0.8, 1.0, kind, 0.3), portal(-1.0))
     scene = dataclasses.replace(room(varying()), world=dataclasses.replace(varying(), portals=portals))
     light = np.ones((8, 16), np.float32) + (np.arange(16) == 3)
-    uploaded = upload_lights(scene, wp.get_device("cpu"), world=sampled_world(light, wp.get_device("cpu"), is_even))
+    world = sampled_world(WorldLight(light), wp.get_device("cpu"), is_even)
+    uploaded = upload_lights(scene, wp.get_device("cpu"), world=world)
     z, around = random.uniform(-1, 1, count), random.uniform(0, 2 * np.pi, count)
     directions = np.stack([np.sqrt(1 - z * z) * np.cos(around), np.sqrt(1 - z * z) * np.sin(around), z], 1)
     densities, sampled = wp.zeros(count, dtype=float, device="cpu"), wp.zeros(count, dtype=float, device="cpu")

@@ -12,11 +12,15 @@ import numpy as np
 import warp as wp
 
 from ...float32 import ONE_BELOW
+from ...scene.description import SkySun
+from .world_sun import SunCone, is_within, sample_sun_cone, solid_angle, sun_cone, sun_cone_pdf, without_sun
 
 # Least light that a texel counts for, as a share of the mean: light that the texels' test points missed is still found
 _FLOOR = 1e-3
 # ... and as a share of the brightest texel around it: the rim of a sun may lie between the points of a texel
 _AROUND = 0.05
+# Spherical harmonics up to the second band: squares of their constants times the cosine's factors pi, 2 pi / 3, pi / 4
+_COSINE_SCALE = np.array([1 / 4, 1 / 2, 1 / 2, 1 / 2, 15 / 16, 15 / 16, 15 / 192, 15 / 16, 15 / 64])
 # Variance of a world, beside the square of its mean, up to which it is left to scattered rays
 _EVEN = 1e-3
 
@@ -29,6 +33,7 @@ class WorldTable:
     height: int  # texels from +Z to -Z
     row_first: wp.array(dtype=wp.uint32)  # begin of each row's interval of [0, 2^32), [height]
     texel_first: wp.array(dtype=wp.uint32)  # begin of each texel's interval within its row, [height * width]
+    sun: SunCone  # of whose light the texels know nothing
 
 
 @wp.struct
@@ -49,23 +54,48 @@ class SampledWorld:
     irradiance: np.ndarray  # float64, shape [9]
 
 
-def sampled_world(light: np.ndarray, device: wp.Device, even: bool = False, beside_rays: bool = False) -> SampledWorld:
-    """The world whose texels have the brightness `light`; see `build_world_table`. `even`: its table has one texel.
+@dataclass(frozen=True)
+class WorldLight:
+    """How bright a world is."""
+
+    texels: np.ndarray  # that of `build_world_table`
+    sun: SkySun | None = None
+    within_sun: float = 0.0  # mean brightness in the directions to the sun, >= 0 and finite
+
+
+def sampled_world(light: WorldLight, device: wp.Device, even: bool = False, beside_rays: bool = False) -> SampledWorld:
+    """The world that is as bright as `light`. `even`: its table has one texel.
 
     `beside_rays`: rays that surfaces scatter find the world too, and both ways are weighed against each other. Then
     only what is brighter than the mean is aimed at, and the world competes with other emitters by that alone: the rest
     is found as well by the rays (Karlik, Sik, Vevoda, Skrivan and Krivanek 2019, "MIS Compensation: Optimizing Sampling
     Techniques in Multiple Importance Sampling", section 4).
     """
-    aimed = np.maximum(light - np.float32(_mean(light)), 0) if beside_rays else light
-    texels = np.ones((1, 1), np.float32) if even else aimed
-    return SampledWorld(build_world_table(texels, device), _irradiance(aimed))
+    texels, of_sun, irradiance = light.texels, 0.0, np.zeros(9)
+    if light.sun is not None and light.within_sun > 0:
+        texels = without_sun(texels, light.sun)
+        of_sun = light.within_sun * solid_angle(light.sun)
+        irradiance = of_sun * _irradiance_of_one(*light.sun.direction)
+    if beside_rays:
+        mean = _mean(texels) + of_sun / (4 * np.pi)
+        texels = np.maximum(texels - np.float32(mean), 0)
+    irradiance += _irradiance(texels)
+    table = build_world_table(np.ones((1, 1), np.float32) if even else texels, device)
+    if of_sun > 0:
+        table.sun = sun_cone(light.sun, of_sun / (of_sun + 4 * np.pi * _mean(texels)))
+    return SampledWorld(table, irradiance)
 
 
-def is_even(light: np.ndarray) -> bool:
-    """Whether texels hardly differ, so that rays which surfaces scatter find the light better by themselves: by the
-    variance over the sphere beside the square of the mean. `light` is that of `build_world_table`.
+def is_even(light: WorldLight) -> bool:
+    """Whether a world's light hardly differs by direction, so that rays which surfaces scatter find it better by
+    themselves: by the variance of its texels over the sphere beside the square of the mean. No world with a sun is.
     """
+    if light.sun is not None and light.within_sun > 0:
+        return False
+    return _is_even(light.texels)
+
+
+def _is_even(light: np.ndarray) -> bool:
     largest = max(float(light.max()), 1e-30)  # squares of what is scaled by it are in range
     mean = _mean(light) / largest
     squares = [float(np.square(row.astype(np.float64) / largest - mean).sum()) for row in light]
@@ -109,10 +139,12 @@ def _irradiance(light: np.ndarray) -> np.ndarray:
         sine * z * cos_1,
         sine * sine * cos_2,
     ]
-    # squares of the functions' constants times the cosine's factors: pi, 2 pi / 3, pi / 4
-    first, second = 1 / 2, 15 / 16
-    scale = np.array([1 / 4, first, first, first, second, second, second / 12, second, second / 4])
-    return np.array([(row * each).sum() for each in moments]) * scale
+    return np.array([(row * each).sum() for each in moments]) * _COSINE_SCALE
+
+
+def _irradiance_of_one(x: float, y: float, z: float) -> np.ndarray:
+    """`SampledWorld.irradiance` of light that comes from one unit direction alone, for an irradiance of 1 there."""
+    return np.array([1, y, z, x, x * y, y * z, 3 * z * z - 1, x * z, x * x - y * y]) * _COSINE_SCALE
 
 
 def fixed_point_cdf(power: np.ndarray) -> np.ndarray:
@@ -221,8 +253,7 @@ def texel_direction(table: WorldTable, row: int, column: int, u: wp.vec2) -> wp.
 
 
 @wp.func
-def sample_world(table: WorldTable, u: wp.vec2) -> WorldDirection:
-    """A direction, as likely as the world is bright there."""
+def _sample_texels(table: WorldTable, u: wp.vec2) -> WorldDirection:
     bits_row = wp.uint32(u[0] * wp.static(2.0**24)) << wp.uint32(8)
     bits_column = wp.uint32(u[1] * wp.static(2.0**24)) << wp.uint32(8)
     row = _find(table.row_first, 0, table.height, bits_row)
@@ -241,8 +272,8 @@ def sample_world(table: WorldTable, u: wp.vec2) -> WorldDirection:
 
 
 @wp.func
-def world_pdf(table: WorldTable, direction: wp.vec3) -> float:
-    """Density with which `sample_world` chooses `direction` [1/sr]."""
+def _texels_pdf(table: WorldTable, direction: wp.vec3) -> float:
+    """Density with which `_sample_texels` chooses `direction` [1/sr]."""
     sine = wp.sqrt(direction[0] * direction[0] + direction[1] * direction[1])
     down = wp.atan2(sine, direction[2]) / wp.PI
     around = wp.atan2(direction[1], direction[0]) / wp.TAU
@@ -255,3 +286,31 @@ def world_pdf(table: WorldTable, direction: wp.vec3) -> float:
         table.texel_first, begin, table.width, column
     )
     return chance / _texel_solid_angle(table, row)
+
+
+@wp.func
+def sample_world(table: WorldTable, u: wp.vec2) -> WorldDirection:
+    """A direction, as likely as the world is bright there."""
+    share = table.sun.share
+    result = WorldDirection()
+    if u[0] < share:
+        result.direction = sample_sun_cone(table.sun, wp.vec2(wp.min(u[0] / share, ONE_BELOW), u[1]))
+        # within the cone, wherever rounding took it
+        result.pdf = sun_cone_pdf(table.sun) + (1.0 - share) * _texels_pdf(table, result.direction)
+    else:
+        result = _sample_texels(table, wp.vec2(wp.min((u[0] - share) / (1.0 - share), ONE_BELOW), u[1]))
+        if share > 0.0:
+            result.pdf = (1.0 - share) * result.pdf
+            if is_within(table.sun, result.direction):
+                result.pdf += sun_cone_pdf(table.sun)
+    return result
+
+
+@wp.func
+def world_pdf(table: WorldTable, direction: wp.vec3) -> float:
+    """Density with which `sample_world` chooses `direction` [1/sr]."""
+    pdf = (1.0 - table.sun.share) * _texels_pdf(table, direction)
+    if table.sun.share > 0.0:
+        if is_within(table.sun, direction):
+            pdf += sun_cone_pdf(table.sun)
+    return pdf

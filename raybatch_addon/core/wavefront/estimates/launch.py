@@ -9,10 +9,11 @@ import warp as wp
 
 from ...device.bulk import in_slices
 from ...device.devices import load_module, worker_count
-from ...scene.description import Scene
+from ...scene.description import Scene, SkySun
 from ...scene.features import SceneFeatures
 from ...shading.lights.emitters import scene_radius
 from ...shading.lights.table import LightTable
+from ...shading.lights.world_sun import directions_within
 from ..scene.shading_data import SceneData
 from .kernels import estimate_kernel
 from .work import Estimate, EstimateWork
@@ -23,6 +24,8 @@ from .work import Estimate, EstimateWork
 _TEXEL_POINTS = 2
 _TEXEL_DIFFERENCE = 0.2
 _FINE_WIDTH = 4096
+# Directions within a sky's sun, of which the mean counts
+_SUN_DIRECTIONS = 256
 # Points of each lamp, of which the mean counts
 _LAMP_POINTS = 96
 # Brightness of a lamp's program that was black at all points: it may shine elsewhere
@@ -71,6 +74,15 @@ def world_texels(data: SceneData, features: SceneFeatures, width: int, device: w
 
     _launch_in_parts(Estimate.WORLD, data, features, device, len(rough), work_of_rough)
     return texels.numpy().reshape(height, width)
+
+
+def sun_brightness(data: SceneData, features: SceneFeatures, sun: SkySun, device: wp.Device) -> float:
+    """Mean brightness of the world within its sun [W/(m² sr)]."""
+    work = EstimateWork()
+    work.directions = wp.array(directions_within(sun, _SUN_DIRECTIONS), dtype=wp.vec3, device=device)
+    work.texels = wp.zeros(_SUN_DIRECTIONS, dtype=float, device=device)
+    _launch_in_parts(Estimate.WORLD, data, features, device, 1, lambda first, end: (work, _SUN_DIRECTIONS))
+    return float(work.texels.numpy().mean(dtype=np.float64))
 
 
 def _is_rough(light: np.ndarray) -> np.ndarray:

@@ -32,7 +32,8 @@ class EstimateWork:
     world: WorldTable  # of which width and height count
     row_first: int  # item 0 is the first texel of this row, where none are listed
     listed: wp.array(dtype=int)  # texel of each item
-    texels: wp.array(dtype=float)  # result of each texel of the world [W/(m² sr)]
+    directions: wp.array(dtype=wp.vec3)  # of each item, instead of texels; unit
+    texels: wp.array(dtype=float)  # result of each texel of the world, or of each direction [W/(m² sr)]
     lamps: wp.array(dtype=int)  # numbers of lights
     lights: LightTable  # these lights
     scene_radius: float  # [m]

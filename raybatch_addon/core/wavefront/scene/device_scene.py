@@ -27,7 +27,8 @@ from ...shading.images.image_upload import UploadedImages
 from ...shading.lights.emitters import emits_light, find_emissive_triangles
 from ...shading.lights.lamp_program import upload_lamp_programs
 from ...shading.lights.table import UploadedLights, upload_lights
-from ..estimates.launch import brightness_of_lamps, emission_of_triangles, world_texels
+from ...shading.lights.world import WorldLight
+from ..estimates.launch import brightness_of_lamps, emission_of_triangles, sun_brightness, world_texels
 from ..order.hit_order import HitKey, sorts_materials
 from ..passes.state import PassInputs, upload_pass_inputs
 from ..plan.plan import Choice, TracingPlan
@@ -226,7 +227,13 @@ def _program_light(
         size = scene.world.sampling_size
         # along a ray through a volume light is looked for wherever it may scatter, and mostly it does not
         beside_rays = features.mis and not features.volumes
-        world = worlds.get(scene, device, lambda: world_texels(data, shading, size, device), beside_rays)
+
+        def light() -> WorldLight:
+            sun = scene.world.sun
+            within = 0.0 if sun is None else sun_brightness(data, shading, sun, device)
+            return WorldLight(world_texels(data, shading, size, device), sun, within)
+
+        world = worlds.get(scene, device, light, beside_rays)
     if features.lamp_program:
         lamps = functools.partial(brightness_of_lamps, scene, data, shading, device)
     return emitted, world, lamps

@@ -11,7 +11,7 @@ import warp as wp
 
 from ...programs.parts import outputs_read
 from ...scene.description import SCATTERED_RAYS, Scene, World
-from ...shading.lights.world import SampledWorld, is_even, sampled_world
+from ...shading.lights.world import SampledWorld, WorldLight, is_even, sampled_world
 from .unchanged import Last, camera_key, images_of, pictures_of
 
 _OF_RAYS = {"path_history", "portal_depth"}  # ops
@@ -35,17 +35,17 @@ class WorldCache:
         self._last.clear()
 
     def get(
-        self, scene: Scene, device: wp.Device, texels: Callable[[], np.ndarray], beside_rays: bool
+        self, scene: Scene, device: wp.Device, light_of: Callable[[], WorldLight], beside_rays: bool
     ) -> SampledWorld | None:
         """The world of `scene`; None for one that is the same everywhere and has no portals, which is not sampled.
-        `texels()` computes the brightness of its texels, and is called unless this is the world of the last call, with
-        the same frozen images. `beside_rays`: nearly each point from which light is aimed at sends a ray that may find
-        the world too, and both are weighed against each other.
+        `light_of()` computes its brightness, and is called unless this is the world of the last call, with the same
+        frozen images. `beside_rays`: nearly each point from which light is aimed at sends a ray that may find the world
+        too, and both are weighed against each other.
         """
         varies, has_portals = _may_vary(scene.world), bool(scene.world.portals)
 
         def made() -> SampledWorld | None:
-            light = texels()
+            light = light_of()
             if varies or not is_even(light):
                 return sampled_world(light, device, beside_rays=beside_rays and not (varies or has_portals))
             return sampled_world(light, device, even=True) if has_portals else None
@@ -70,4 +70,4 @@ def _key(scene: Scene, device: wp.Device) -> tuple[list[np.ndarray | None], tupl
     kinds = tuple((int(image.encoding), tuple(number for number, _ in image.tiles or ())) for image in images)
     program = (world.program.instructions, world.program.constants.tobytes())
     pixels = [each for image in images for each in pictures_of(image)]
-    return pixels, (device.alias, program, world.sampling_size, camera_key(scene, [world.program]), kinds)
+    return pixels, (device.alias, program, world.sampling_size, world.sun, camera_key(scene, [world.program]), kinds)

@@ -19,11 +19,17 @@ def texture_coordinates(node: Node) -> Value:
 
 def mapped(node: Node, coordinates: Value) -> Value:
     """`coordinates` after the mapping in the properties of a texture node (which is seldom set)."""
+    if is_unmapped(node):
+        return coordinates
     mapping = node.node.texture_mapping
     matrix, offset = affine_of(mapping)
-    if np.array_equal(matrix, np.eye(3)) and not offset.any():
-        return coordinates
     return node.op("affine", mapping.vector_type == "NORMAL", coordinates, *map(tuple, matrix), tuple(offset))
+
+
+def is_unmapped(node: Node) -> bool:
+    """Whether the mapping in the properties of a texture node leaves coordinates as they are."""
+    matrix, offset = affine_of(node.node.texture_mapping)
+    return np.array_equal(matrix, np.eye(3)) and not offset.any()
 
 
 def affine_of(mapping) -> tuple[np.ndarray, np.ndarray]:

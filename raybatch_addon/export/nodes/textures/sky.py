@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import math
-
 from ....core.programs.builder import Value
 from ....core.scene.description import Image
-from ....core.sky.atmosphere import SUN_SIZE_MIN, Atmosphere, sky_table, wrapped_sun
+from ....core.sky.atmosphere import SUN_SIZE_MIN, Atmosphere, sky_table, sun_direction, wrapped_sun
 from ....core.sky.hosek_wilkie import hosek_wilkie_table
 from ....core.sky.multiple_scattering import MULTIPLE_SCATTERING
 from ....core.sky.preetham import preetham_table
 from ....core.sky.single_scattering import SINGLE_SCATTERING
 from ..node import Node
 from ..registry import values
-from .mapping import mapped, texture_coordinates
+from .mapping import is_unmapped, mapped, texture_coordinates
 
 # Blender before 5.0 has an earlier form of single scattering
 _EARLIER = "NISHITA"
@@ -58,7 +56,8 @@ def sky(node: Node) -> Value:
         settings.altitude,
     )
     if shines and type(node.graph.owner).__name__ == "World":
-        node.graph.collections.sun_width = max(node.graph.collections.sun_width, math.ceil(4.0 * math.pi / size))
+        toward = sun_direction(elevation, azimuth) if is_unmapped(node) else None
+        node.graph.collections.suns.add((toward, size))
     key = (settings.sky_type, atmosphere)
     picture = node.graph.collections.image(
         key, lambda: Image(f"sky of {node.node.name}", model.sky_picture(atmosphere))

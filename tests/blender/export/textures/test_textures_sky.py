@@ -233,17 +233,39 @@ def test_worlds_see_the_sun(version, kind, name, tmp_path):
     assert_same(evaluate(world.node_tree.get_output_node("ALL").inputs["Surface"], world, looked), expected)
 
 
-@pytest.mark.parametrize("size, width", [(0.00951, 1322), (0.0, 2048), (0.5, 256)])
-def test_worlds_are_sampled_finely_enough_for_their_sun(version, size, width):
-    scene = empty_scene()
-    world = world_graph(
-        scene,
-        lambda graph: graph.value(
-            "ShaderNodeBackground", {"Color": graph.value("ShaderNodeTexSky", None, sun_size=size)}
-        ),
-    )
+def world_under(*suns):
+    """A world whose skies have `suns` (size and elevation of each)."""
+
+    def build(graph):
+        skies = [graph.value("ShaderNodeTexSky", None, sun_size=size, sun_elevation=up) for size, up in suns]
+        color = skies[0]
+        for other in skies[1:]:
+            color = graph.value("ShaderNodeMixRGB", {"Color1": color, "Color2": other})
+        return graph.value("ShaderNodeBackground", {"Color": color})
+
+    world = world_graph(empty_scene(), build)
     world.cycles.sampling_method, world.cycles.sample_map_resolution = "MANUAL", 256
-    assert export_world(world, []).sampling_size == pytest.approx(width, abs=1)
+    return world
+
+
+@pytest.mark.parametrize("size", [0.00951, 0.0, 0.5])
+def test_the_sun_of_a_world_is_aimed_at(version, size):
+    found = export_world(world_under((size, 0.6)), [])
+    assert found.sampling_size == 256
+    assert found.sun.size == pytest.approx(max(size, 0.0005))
+    np.testing.assert_allclose(found.sun.direction, sun_direction(*wrapped_sun(0.6, 0.0)), atol=1e-6)
+    assert export_world(world_under((size, 0.6), (size, 0.6)), []).sun == found.sun
+
+
+@pytest.mark.parametrize("size, width", [(0.00951, 1322), (0.0, 2048), (0.5, 256)])
+def test_worlds_are_sampled_finely_enough_for_suns_that_are_not_aimed_at(version, size, width):
+    """One whose place depends on a mapping, or several."""
+    world = world_under((size, 0.6))
+    next(node for node in world.node_tree.nodes if node.type == "TEX_SKY").texture_mapping.rotation[2] = 1.0
+    found = export_world(world, [])
+    assert found.sun is None and found.sampling_size == pytest.approx(width, abs=1)
+    found = export_world(world_under((size, 0.6), (max(size, 0.1), 0.5)), [])
+    assert found.sun is None and found.sampling_size == pytest.approx(width, abs=1)
 
 
 def _exr(folder: Path) -> Path:

@@ -16,7 +16,7 @@ from raybatch_addon.core.shading.lights.emitters import EmissiveTriangles
 from raybatch_addon.core.shading.lights.lights import LightFeatures, make_lights
 from raybatch_addon.core.shading.lights.table import LightTable, upload_lights
 from raybatch_addon.core.shading.lights.tree import fill, topology
-from raybatch_addon.core.shading.lights.world import sampled_world
+from raybatch_addon.core.shading.lights.world import WorldLight, sampled_world
 from tests.core.shading.lights.light_probe import facing, scene_of
 from tests.support.running.shares import each_of
 from tests.support.under_test import BLOCK_DIM, DEVICE
@@ -89,9 +89,8 @@ def glowing(count: int, seed: int) -> Mesh:
 def world_of(device):
     """A sky that is bright on one side."""
     row, column = np.mgrid[0:32, 0:64]
-    return sampled_world(
-        (1 + 20 * np.exp(-(((row - 6) / 3) ** 2) - ((column - 20) / 5) ** 2)).astype(np.float32), device
-    )
+    light = 1 + 20 * np.exp(-(((row - 6) / 3) ** 2) - ((column - 20) / 5) ** 2)
+    return sampled_world(WorldLight(light.astype(np.float32)), device)
 
 
 def uploaded(lights, triangle_count=0, world=False, copies=0):

@@ -3,7 +3,7 @@
 import numpy as np
 import warp as wp
 
-from raybatch_addon.core.shading.lights.world import build_world_table, sampled_world
+from raybatch_addon.core.shading.lights.world import WorldLight, build_world_table, sampled_world
 from tests.support.under_test import DEVICE
 
 
@@ -36,14 +36,14 @@ def test_beside_rays_only_what_is_brighter_than_the_mean_is_aimed_at():
     row = np.cos(np.arange(17) * np.pi / 16)
     mean = float((light.mean(1) * (row[:-1] - row[1:]) / 2).sum())
     excess = np.maximum(light - np.float32(mean), 0)
-    found = sampled_world(light, wp.get_device(DEVICE), beside_rays=True)
+    found = sampled_world(WorldLight(light), wp.get_device(DEVICE), beside_rays=True)
     np.testing.assert_allclose(
-        found.irradiance, sampled_world(excess, wp.get_device(DEVICE)).irradiance, rtol=1e-4, atol=1e-6
+        found.irradiance, sampled_world(WorldLight(excess), wp.get_device(DEVICE)).irradiance, rtol=1e-4, atol=1e-6
     )
     rows = np.diff(found.table.row_first.numpy().astype(np.float64), append=2.0**32)
     assert rows[4] > 0.8 * 2**32
 
 
 def test_an_even_world_beside_rays_leaves_other_emitters_alone():
-    found = sampled_world(np.full((8, 16), 3.0, np.float32), wp.get_device(DEVICE), beside_rays=True)
+    found = sampled_world(WorldLight(np.full((8, 16), 3.0, np.float32)), wp.get_device(DEVICE), beside_rays=True)
     assert np.abs(found.irradiance).max() < 1e-5

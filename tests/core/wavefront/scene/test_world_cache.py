@@ -8,11 +8,11 @@ import warp as wp
 
 from raybatch_addon.core.programs import ops  # noqa: F401  (registers ops)
 from raybatch_addon.core.programs.builder import ProgramBuilder
-from raybatch_addon.core.scene.description import Frame, Image, Visibility, World
+from raybatch_addon.core.scene.description import Frame, Image, SkySun, Visibility, World
 from raybatch_addon.core.scene.frozen import freeze
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
-from raybatch_addon.core.shading.lights.world import sampled_world
+from raybatch_addon.core.shading.lights.world import WorldLight, sampled_world
 from raybatch_addon.core.wavefront.estimates import launch
 from raybatch_addon.core.wavefront.scene import device_scene
 from raybatch_addon.core.wavefront.scene.world_cache import WorldCache
@@ -69,8 +69,10 @@ def test_a_world_is_tabulated_again_only_where_it_is_another(made):
         (scene_of(world_of(2.0), image=image), 2),
         (scene_of(world_of(2.0), image=Image("sky", PIXELS[::-1].copy())), 3),
         (replace(scene_of(world_of(2.0)), world=replace(world_of(2.0), sampling_size=32)), 4),
-        (scene_of(world_of(window=True)), 5),
-        (scene_of(world_of(window=True), eye=(1, -4, 0)), 6),  # it looks at the camera
+        (replace(scene_of(world_of(2.0)), world=replace(world_of(2.0), sun=SkySun((0.0, 0.0, 1.0), 0.4))), 5),
+        (replace(scene_of(world_of(2.0)), world=replace(world_of(2.0), sun=SkySun((0.0, 0.6, 0.8), 0.4))), 6),
+        (scene_of(world_of(window=True)), 7),
+        (scene_of(world_of(window=True), eye=(1, -4, 0)), 8),  # it looks at the camera
     ]
     for scene, count in steps:
         film = session.render(scene, SETTINGS)
@@ -171,8 +173,8 @@ PORTAL = scenes.area_light(0.0, 1.0)
 )
 def test_what_rays_find_as_well_is_not_aimed_at(world, beside_rays, by_excess):
     device = wp.get_device(DEVICE)
-    found = WorldCache().get(scene_of(world), device, lambda: SPOT, beside_rays)
-    expected = sampled_world(SPOT, device, beside_rays=by_excess)
+    found = WorldCache().get(scene_of(world), device, lambda: WorldLight(SPOT), beside_rays)
+    expected = sampled_world(WorldLight(SPOT), device, beside_rays=by_excess)
     np.testing.assert_array_equal(found.irradiance, expected.irradiance)
     np.testing.assert_array_equal(found.table.row_first.numpy(), expected.table.row_first.numpy())
 
@@ -180,8 +182,8 @@ def test_what_rays_find_as_well_is_not_aimed_at(world, beside_rays, by_excess):
 def test_a_world_that_only_cameras_tell_apart_is_left_to_rays_where_it_is_even():
     device = wp.get_device(DEVICE)
     even = np.ones((8, 16), np.float32)
-    assert WorldCache().get(scene_of(of_rays(0)), device, lambda: even, True) is None
-    assert WorldCache().get(scene_of(of_rays(2)), device, lambda: even, True) is not None
+    assert WorldCache().get(scene_of(of_rays(0)), device, lambda: WorldLight(even), True) is None
+    assert WorldCache().get(scene_of(of_rays(2)), device, lambda: WorldLight(even), True) is not None
 
 
 @pytest.mark.parametrize("visibility", [Visibility.ALL & ~Visibility.GLOSSY, Visibility.ALL & ~Visibility.TRANSMISSION])
