@@ -2,6 +2,7 @@
 // are distant. 0: surely none. The nodes of a block are compared with each other, at the top with all that is distant.
 const auto& choice_table = *table.choice.data;
 auto within = [](float x, float least, float most) { return wp::min(wp::max(x, least), most); };
+const bool has_side = wp::dot(point.normal, point.normal) > 0.0f;  // a point in a volume has none
 
 #if LINKS
 // Whether bits of light sets have that of the point; -1: it has none, all light comes there, and there may be no bits.
@@ -41,22 +42,32 @@ auto node_light = [&](const auto* node) {
     const Lanes radius = node[FIELD_RADIUS], cos_axis = node[FIELD_COS_AXIS], sin_axis = node[FIELD_SIN_AXIS],
                 cos_edge = node[FIELD_COS_EDGE], power = node[FIELD_POWER];
     const Lanes square = x * x + y * y + z * z, reach = radius * radius;
+    // mean square of the distance to what is spread over the sphere
+    const Lanes apart = square + (Lanes)(SPREAD)*reach;
     // else its root has lost its digits
-    const auto is_apart = (square > reach) & (square > 1e-30f) & (square < 1e37f);
-    const Lanes inverse = one / root(is_apart ? square : one), sine = radius * inverse, spread = sine * sine;
-    Lanes leaving = -(node[FIELD_AXIS_X] * x + node[FIELD_AXIS_Y] * y + node[FIELD_AXIS_Z] * z) * inverse;
-    leaving = node[FIELD_TWO_SIDED] > 0.0f ? absolute(leaving) : leaving;
+    const auto is_sound = (apart > 1e-30f) & (apart < 1e37f);
+    const Lanes sound = is_sound ? apart : one, inverse = one / root(sound), spread = reach / sound;
+    const Lanes along = -(node[FIELD_AXIS_X] * x + node[FIELD_AXIS_Y] * y + node[FIELD_AXIS_Z] * z);
+    const Lanes facing = node[FIELD_TWO_SIDED] > 0.0f ? absolute(along) : along;
     const auto is_directed = cos_axis > -1.0f;
     // cos(a - b - c) <= cos(a) + sin(b) + sin(c): none of its emitters is seen from a side that shines
-    const auto is_dark = is_apart & is_directed & (leaving + sin_axis + sine < cos_edge - COSINE_ERROR);
+    const auto is_dark = is_sound & is_directed & (square > reach) &
+                         (facing + radius < (cos_edge - COSINE_ERROR - sin_axis) * root(is_sound ? square : one));
     // the normal in the cone that is nearest to the point
+    Lanes leaving = facing * inverse;
     const Lanes beside = root(most(one - leaving * leaving, zero));
     leaving = leaving < cos_axis ? leaving * cos_axis + beside * sin_axis : one;
-    const Lanes left = is_directed ? most(mean_cosine(leaving, spread), cosine_min) : one;
+    // from within the sphere, emitters may be in any direction
+    const Lanes inside = (Lanes)(INSIDE)*most(reach - square, zero) / most(reach, (Lanes)(1e-30f));
+    auto turned = [&](auto cosine) {
+        const auto mean = least(most(mean_cosine(cosine, spread), cosine_min), one);
+        return mean + (one - mean) * inside;
+    };
     Lanes arriving = (point.normal[0] * x + point.normal[1] * y + point.normal[2] * z) * inverse;
     if (point.both_sides) arriving = absolute(arriving);
-    const Lanes turned = left * most(mean_cosine(arriving, spread), cosine_min);
-    const Lanes light = power * (is_apart ? turned : one) / most(square, reach);
+    Lanes both = is_directed ? turned(leaving) : one;
+    if (has_side) both = both * turned(arriving);
+    const Lanes light = power * (is_sound ? both : one) / most(apart, (Lanes)(1e-30f));
     const Lanes bounded = least(most(light, (Lanes)(LEAST)), (Lanes)(MOST));
     const Lanes counted = (power > 0.0f) & !is_dark ? bounded : zero;
     return counted;
@@ -73,12 +84,14 @@ auto distant_light = [&](int number) -> float {
     if (emitter < table.light_count) {
         float cosine = -wp::dot(table.lights.data[emitter].axis, point.normal);
         if (point.both_sides) cosine = wp::abs(cosine);
+        if (!has_side) cosine = 1.0f;
         return within(choice_table.distant_strength.data[number] * wp::max(cosine, COSINE_MIN), LEAST, MOST);
     }
 #endif
 #if WORLD
     // irradiance by spherical harmonics (Ramamoorthi and Hanrahan 2001)
     const float* e = choice_table.world_irradiance.data;
+    if (!has_side) return within(4.0f * e[0], LEAST, MOST);  // from all sides: four times the mean over all normals
     const float x = point.normal[0], y = point.normal[1], z = point.normal[2];
     const float even =
         e[0] + e[4] * x * y + e[5] * y * z + e[6] * (3.0f * z * z - 1.0f) + e[7] * x * z + e[8] * (x * x - y * y);

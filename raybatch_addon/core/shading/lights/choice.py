@@ -27,6 +27,9 @@ from .table import LightTable
 # What an emitter counts for at least where the surface, or the emitter, is turned away at the angle where nothing
 # arrives by Lambert's law: BSDFs and lamps may differ from it
 _COSINE_MIN = 0.1
+# Where the light of a node of the tree comes from, about: the mean square of its emitters' distances from the middle of
+# its sphere, over the square of the radius; and how much of a cosine is not told by that middle from within the sphere
+_SPREAD, _INSIDE = 0.25, 0.3
 # Where emitters are compared, none is without a chance: counts stay within these bounds
 _LEAST, _MOST = 1e-30, 1e30
 _DRAWS = 2**24  # what a random number can be
@@ -142,7 +145,15 @@ def make_light_choice(features: ChoiceFeatures) -> LightChoice:
 @functools.cache
 def _make_choice(has_suns: bool, has_world: bool, local: bool, linked: bool) -> LightChoice:
     """`local`: there are emitters with a place; `linked`: some light some objects alone."""
-    numbers = dict(COSINE_MIN=_COSINE_MIN, COSINE_ERROR=COSINE_ERROR, LEAST=_LEAST, MOST=_MOST, UNIT=1 / _DRAWS)
+    numbers = dict(
+        COSINE_MIN=_COSINE_MIN,
+        SPREAD=_SPREAD,
+        INSIDE=_INSIDE,
+        COSINE_ERROR=COSINE_ERROR,
+        LEAST=_LEAST,
+        MOST=_MOST,
+        UNIT=1 / _DRAWS,
+    )
     kinds = dict(
         SUNS=has_suns, WORLD=has_world, LOCAL=local, FIELDS=len(FIELDS), WIDTH=BLOCK_WIDTH, DRAWS=_DRAWS, LINKS=linked
     )

@@ -11,7 +11,7 @@ import warp as wp
 from ....device.kernel import KERNEL_OPTIONS
 from ....scene.geometry import Geometry, triangle_vertices
 from ..choice_table import BLOCK_WIDTH, FIELDS, ChoiceTable
-from .topology import Joints
+from .joints import Joints, widen_leaves_kernel
 
 # Where the numbers of a block of one kind begin
 _ROWS = {name: place * BLOCK_WIDTH for place, name in enumerate(FIELDS)}
@@ -287,6 +287,7 @@ def fill_block_kernel(boxes: EmitterBoxes, choice: ChoiceTable):
 
 
 LIGHT_TREE_KERNELS = (
+    widen_leaves_kernel,
     bound_triangles_kernel,
     place_leaves_kernel,
     join_kernel,

@@ -19,22 +19,14 @@ from ....bvh.build.cuda.clusters import merge_leaves, sort_leaves
 from ....bvh.build.cuda.order import find_parents, order_by_height, refit
 from ....device.bulk import large_empty
 from ..emitters import EmissiveTriangles
+from .joints import Joints, widen_leaves_kernel
 
 # Fewer emissive triangles are sorted one by one: that takes no tenth of a second, and the tree is a little better where
 # instances overlap
 _MANY = 1 << 17
 _OPTIONS = BuildOptions(leaf_group=1, leaf_max=1)
-
-
-@wp.struct
-class Joints:
-    """A binary tree over emitters: leaves [0, leaf_count) first, inner node `leaf_count + k` at k."""
-
-    leaf_count: int
-    low: wp.array(dtype=wp.vec3)  # of boxes of all nodes, once they are joined [m]
-    high: wp.array(dtype=wp.vec3)
-    children: wp.array(dtype=wp.vec2i)
-    which: wp.array(dtype=int)  # which emitter a leaf is
+# Half the width of boxes at least, of the step between as many emitters in rows and columns as wide as all of them
+_STEP_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -90,6 +82,8 @@ def runs_alike(triangles: EmissiveTriangles, mesh: np.ndarray, first_number: int
 def topology_on_cuda(low: wp.array, high: wp.array) -> Topology:
     """The tree over boxes, which are at least two."""
     tree, clusters = sort_leaves(low, high)
+    half = _least_half(tree.box[0], tree.box[1], low.size)
+    wp.launch(widen_leaves_kernel, low.size, [tree.nodes.low, tree.nodes.high, half], device=low.device)
     merge_leaves(tree, clusters)
     nodes = tree.nodes
     links = find_parents(nodes)
@@ -103,6 +97,16 @@ def topology_on_cuda(low: wp.array, high: wp.array) -> Topology:
     joints.children, joints.which = nodes.children, nodes.primitive
     leaves = [(0, nodes.leaf_count)]
     return Topology(joints, heights.node, [], leaves, heights.first, 2 * nodes.leaf_count - 2)
+
+
+def _least_half(low: np.ndarray, high: np.ndarray, count: int) -> float:
+    """Half the width that boxes of `count` emitters, all of them within the corners `low` and `high`, float32, shape
+    [3], have at least when they are joined.
+
+    The surface of a box counts, and one over emitters in a plane has none to speak of: rows of lamps along a ceiling
+    would be joined to strips, whose middles say little of where their light comes from.
+    """
+    return float((high.astype(np.float64) - low).max()) * _STEP_SHARE / np.sqrt(count)
 
 
 def topology_on_cpu(low: np.ndarray, high: np.ndarray, alike: Sequence[Alike] = ()) -> Topology:
@@ -172,7 +176,9 @@ class _Part:
     @staticmethod
     def over(low: np.ndarray, high: np.ndarray) -> _Part:
         """By the surface area heuristic over boxes, float32, shape [n, 3]."""
-        built = build_binary_from_boxes(low, high, _OPTIONS)
+        half = np.float32(_least_half(low.min(0), high.max(0), len(low)))
+        middle = 0.5 * low + 0.5 * high
+        built = build_binary_from_boxes(np.minimum(low, middle - half), np.maximum(high, middle + half), _OPTIONS)
         below, size = built.links
         leaves, inner = np.flatnonzero(size > 0), np.flatnonzero(size == 0)
         number = np.empty(len(size), np.int32)  # of each node here

@@ -1,0 +1,61 @@
+"""How near the choice among emitters comes to what each brings."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+from raybatch_addon.core.scene.description import Light, LightKind, Mesh
+from raybatch_addon.core.shading.lights.choice import VOLUME_SIDE
+from raybatch_addon.core.shading.lights.table import upload_lights
+from raybatch_addon.core.shading.lights.world import WorldLight, sampled_world
+from tests.core.shading.lights import test_light_choice
+from tests.core.shading.lights.light_probe import facing, scene_of
+from tests.support.under_test import BLOCK_DIM, DEVICE
+
+
+def ceiling(count: int, kind: str):
+    """Alike lamps, or glowing triangles of one mesh, jittered over a square of 16 m at a height of 3 m, and their
+    places.
+    """
+    rng = np.random.default_rng(count)
+    rows = int(np.sqrt(count))
+    cell = np.arange(count)
+    x, y = (16 * (each + rng.random(count)) / rows - 8 for each in (cell % rows, cell // rows))
+    places = np.stack([x, y, np.full(count, 3.0)], 1)
+    if kind == "lamps":
+        return [Light("lamp", LightKind.POINT, facing(place, (0, 0, -1)), (1.0,) * 3) for place in places], None, places
+    corners = places[:, None] + 0.01 * np.array([[0, 0, 0], [0, 1, 0], [1, 0, 0]])
+    triangles = np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
+    return [], Mesh("glowing", corners.reshape(-1, 3).astype(np.float32), triangles), places
+
+
+@pytest.mark.parametrize("kind, most", [("lamps", 0.006), ("triangles", 0.014)])
+def test_many_emitters_are_chosen_about_as_what_they_bring(kind, most, monkeypatch):
+    """The variance that the choice adds to light without shadows, beside the square of the light."""
+    lights, mesh, places = ceiling(2500, kind)
+    monkeypatch.setattr(test_light_choice, "glowing", lambda count, seed: mesh)
+    lit, _ = test_light_choice.uploaded(lights, 0 if mesh is None else 2500)
+    variance = []
+    for point in np.random.default_rng(3).uniform(-9, 9, (40, 2)):
+        offset = places - (*point, 0.0)
+        square = (offset**2).sum(1)
+        brings = 3.0 / square**1.5 * (1.0 if mesh is None else 3.0 / square**0.5)
+        pdf = test_light_choice.chosen_from(lit, (*point, 0.0), (0, 0, 1), count=1)[3]
+        variance.append((brings**2 / pdf).sum() / brings.sum() ** 2 - 1)
+    assert 0 <= np.mean(variance) < most
+
+
+def test_in_a_volume_emitters_count_by_what_comes_from_all_sides():
+    """A lamp, a sun that brings as much, and a white world."""
+    pdf_of_all = test_light_choice.choice_kernel()[1]
+    lamps = [
+        Light("lamp", LightKind.POINT, facing((0, 0, 2), (0, 0, -1)), (4.0,) * 3),
+        Light("sun", LightKind.SUN, facing((0, 0, 0), (1, 0, 0)), (1.0,) * 3),
+    ]
+    device = wp.get_device(DEVICE)
+    white = sampled_world(WorldLight(np.full((64, 128), 0.25 / np.pi, np.float32)), device)
+    lights = upload_lights(scene_of(*lamps), device, world=white)
+    found = wp.zeros(3, dtype=float, device=device)
+    inputs = [lights.table, wp.vec3(0.0, 0.0, 0.0), wp.uint32(VOLUME_SIDE), found]
+    wp.launch(pdf_of_all, 3, inputs, device=device, block_dim=BLOCK_DIM)
+    np.testing.assert_allclose(found.numpy(), 1 / 3, rtol=2e-3)
