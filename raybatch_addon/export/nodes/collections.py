@@ -27,7 +27,7 @@ class Collections:
     def __init__(self) -> None:
         self.frame = 0  # the scene's frame, for images that change with it
         self.images: list[Image] = []
-        self.environment_width = 0  # width of the widest image that worlds show [texels]
+        self.environments: set[int] = set()  # images that worlds show all around, by index
         self.sun_width = 0  # texels around a world so that the smallest sun in the worlds' skies is two texels wide
         self.warnings: list[str] = []  # messages about images and attributes that cannot be used as they are, by name
         self._image_places: dict[Hashable, int] = {}
@@ -41,6 +41,12 @@ class Collections:
         self.view_layer: bpy.types.ViewLayer | None = None  # Blender's, whose properties graphs may read
         self.scene: bpy.types.Scene | None = None
         self.engine = "CYCLES"  # whose output node counts where a tree has one for each engine
+
+    @property
+    def environment_width(self) -> int:
+        """Width of the widest image that worlds show [texels]."""
+        pictures = [self.images[index].pixels for index in self.environments]
+        return max((each.shape[1] for each in pictures if each is not None), default=0)
 
     def output(self, tree: bpy.types.NodeTree) -> bpy.types.Node | None:
         """The output node of a node tree that counts, None where it has none for this engine or for all."""
