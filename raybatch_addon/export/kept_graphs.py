@@ -18,7 +18,7 @@ from .nodes.textures.image import exported_image
 
 
 @dataclass(frozen=True)
-class Kept:
+class KeptGraph:
     """What a graph was compiled to, and all that it follows from."""
 
     signature: tuple
@@ -27,7 +27,7 @@ class Kept:
     asked: tuple[tuple, ...]  # `Collections.record`
 
 
-_kept: dict[int, Kept] = {}  # by `session_uid` of the original that owns the graph
+_kept: dict[int, KeptGraph] = {}  # by `session_uid` of the original that owns the graph
 
 
 def forget_kept() -> None:
@@ -58,14 +58,14 @@ class KeptGraphs:
             return None
         return (owner.name, *own, self._collections.engine, graph)
 
-    def kept(self, owner: bpy.types.ID, signature: tuple | None) -> Kept | None:
+    def kept(self, owner: bpy.types.ID, signature: tuple | None) -> KeptGraph | None:
         """What the graph of that `signature` was compiled to; None where it must be compiled. `Collections.begin` comes
         before.
         """
         kept = None if signature is None else _kept.get(owner.original.session_uid)
         return kept if kept is not None and kept.signature == signature and self._ask_again(kept.asked) else None
 
-    def keep_graph(self, owner: bpy.types.ID, signature: tuple | None, made: Any, notes: list[str]) -> Kept | None:
+    def keep_graph(self, owner: bpy.types.ID, signature: tuple | None, made: Any, notes: list[str]) -> KeptGraph | None:
         """Remember what the graph of `owner` was compiled to, of which `Collections.record` still holds what it asked
         for; where that cannot be known, or there is no signature, forget what it was before.
         """
@@ -73,7 +73,7 @@ class KeptGraphs:
         if signature is None or asked is None:
             _kept.pop(uid, None)
         else:
-            kept = _kept[uid] = Kept(signature, made, tuple(notes), tuple(asked))
+            kept = _kept[uid] = KeptGraph(signature, made, tuple(notes), tuple(asked))
         owners = bpy.data.materials, bpy.data.lights, bpy.data.worlds
         if len(_kept) > sum(map(len, owners)):
             there = {each.session_uid for each_kind in owners for each in each_kind}

@@ -7,7 +7,7 @@ from collections.abc import Hashable, Iterable
 import bpy
 
 from ..core.scene.description import Image, Material
-from .kept_graphs import Kept, KeptGraphs
+from .kept_graphs import KeptGraph, KeptGraphs
 from .nodes.collections import Collections
 from .world import has_nodes
 
@@ -16,7 +16,7 @@ class UntouchedMaterials:
     """Materials of a viewport's last pass: those that no edit touched since are not even looked at."""
 
     def __init__(self) -> None:
-        self._known: dict[int, Kept] = {}  # by `session_uid` of the original
+        self._known: dict[int, KeptGraph] = {}  # by `session_uid` of the original
         self._images: dict[Hashable, Image] = {}  # by what `Collections.image` knows them as
         self._reported: tuple[str, int] | None = None  # what all of them follow from
 
@@ -36,7 +36,7 @@ class UntouchedMaterials:
             self.forget()
             self._reported = reported
 
-    def find(self, material: bpy.types.Material, collections: Collections) -> Kept | None:
+    def find(self, material: bpy.types.Material, collections: Collections) -> KeptGraph | None:
         """`material` as it was, if nothing touched it and the scene gives the same indices."""
         known = self._known.get(material.original.session_uid)
         if known is None:
@@ -49,7 +49,7 @@ class UntouchedMaterials:
                 return None
         return known
 
-    def end(self, collections: Collections, used: dict[int, Kept]) -> None:
+    def end(self, collections: Collections, used: dict[int, KeptGraph]) -> None:
         """The pass is over, and `used` is what can be kept of it, by `session_uid`: of other materials nothing is."""
         self._known = dict(used)
         self._images = collections.images_by_key()
@@ -61,7 +61,7 @@ class KeptMaterials(KeptGraphs):
     def __init__(self, collections: Collections) -> None:
         super().__init__(collections)
         self.untouched: UntouchedMaterials | None = None  # in the passes of a viewport
-        self.used: dict[int, Kept] = {}  # in this export, by `session_uid` of the original
+        self.used: dict[int, KeptGraph] = {}  # in this export, by `session_uid` of the original
 
     def signature(self, material: bpy.types.Material | None) -> tuple | None:
         """All that `material`, evaluated, is compiled from; None where that is not known."""
@@ -82,7 +82,7 @@ class KeptMaterials(KeptGraphs):
         kept = self.kept(material, signature)
         return None if kept is None else self._use(material, kept)
 
-    def _use(self, material: bpy.types.Material, kept: Kept) -> tuple[Material, list[str]]:
+    def _use(self, material: bpy.types.Material, kept: KeptGraph) -> tuple[Material, list[str]]:
         self.used[material.original.session_uid] = kept
         return kept.made, list(kept.notes)
 
