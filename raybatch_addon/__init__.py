@@ -45,7 +45,7 @@ def unregister() -> None:
     for module, forget in (
         ("images.images", "forget_images"),
         ("meshes.kept_meshes", "forget_meshes"),
-        ("kept_materials", "forget_materials"),
+        ("kept_graphs", "forget_kept"),
     ):
         if (kept := sys.modules.get(f"{__name__}.export.{module}")) is not None:
             getattr(kept, forget)()

@@ -14,17 +14,24 @@ from .ahead.request import CompileRequest
 from .checkpoint.checkpoint import Checkpoint
 from .device.devices import memory_used, worker_count
 from .film import Film
+from .measure.batching import batching_statistics
 from .measure.parts import Parts
+from .measure.statistics import render_statistics
 from .observers import Progress, Tile
+from .programs.footprints import image_statistics
 from .scene.description import Scene
 from .scene.features import SceneFeatures
+from .scene.notice import by_weight, described
 from .settings.settings import RenderSettings
 from .wavefront.adaptive.ranges import first_active
-from .wavefront.plan.plan import Choice, Method, TracingPlan
+from .wavefront.integrator import TileIntegrator
+from .wavefront.plan.plan import Choice, Method, TracingPlan, report_of
 from .wavefront.render.rendering import Rendering, SnapshotWatcher
 from .wavefront.render.resume import ResumeState
 from .wavefront.render.rounds import RoundPolicy
 from .wavefront.render.steps import TileSteps
+from .wavefront.render.summary import batching_totals, ray_totals, rounds_summary, workers_summary
+from .wavefront.scene.device_scene import DeviceScene
 from .wavefront.scheduler import round_tile_edge, step_tile_edge, tile_edge
 from .wavefront.tier import TierChoice
 
@@ -68,7 +75,8 @@ class Job:
             state.policy = state.policy.resumed(self.settings, self.marks)
             if state.policy.is_cut and not state.shorten_round() and self.settings.time_limit:
                 self.warnings.append(state.cannot_shorten)
-        self.settings = self.settings.replace(sample_order=state.sample_order)  # items are numbered by it
+        if self.settings.sample_order != state.sample_order:  # items are numbered by it
+            self.settings = self.settings.replace(sample_order=state.sample_order)
         return state
 
     def _all_tiles(self, after: Film | None, device: wp.Device) -> ResumeState:
@@ -85,6 +93,47 @@ class Job:
         if active:
             state.list_active(device)
         return state
+
+    def statistics(
+        self,
+        film: Film,
+        state: ResumeState,
+        integrators: list[TileIntegrator],
+        modules: list[str],
+        device_scene: DeviceScene | None,
+        device: wp.Device,
+    ) -> dict[str, Any]:
+        """The report of the render, which is over (`docs/statistics.md`); times in seconds, memory in bytes."""
+        self.warnings += self.rendering.warnings if self.rendering else []
+        invalid = state.invalid_samples
+        if invalid:
+            self.warnings.append(
+                f"{invalid:,} samples were not finite and count as black; this is a fault, please report the scene"
+            )
+        return render_statistics(
+            device=device,
+            settings=self.settings,
+            features=self.features,
+            frame={"width": film.width, "height": film.height, "region": [*film.region], "passes": [*film.pass_names]},
+            seconds=self.parts.record(),
+            rays=ray_totals(integrators),
+            samples=film.sample_total,
+            counts={
+                "kernels": self.kernels,
+                **workers_summary(integrators, device_scene, self.hardware, self.path_bytes),
+                **batching_statistics(batching_totals(integrators), report_of({**self.plan.choices, **self.chosen})),
+                **rounds_summary(film, state, None if self.rendering is None else self.rendering.error_report()),
+                "triangles": sum(len(self.scene.meshes[i].triangles) for i in self.scene.instances.mesh),
+                "instances": len(self.scene.instances),
+                "lights": len(self.scene.lights),
+                "images": image_statistics(self.scene, device_scene.images if device_scene else None),
+                "invalid_samples": invalid,
+                "modules": modules,
+                "warnings": self.warnings,
+                "checkpoint": self.checkpoint and self.checkpoint.statistics,
+                "missing": [described(notice) for notice in by_weight(self.scene.warnings)],
+            },
+        )
 
     @property
     def request(self) -> CompileRequest:

@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, wait
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import warp as wp
@@ -25,27 +24,23 @@ from .displacement.displaced import is_displaced
 from .film import Film
 from .film.tile import FinishedTile, add_integers_kernel
 from .job import Job, progress_of
-from .measure.batching import batching_statistics
 from .measure.hardware import hardware_counters
 from .measure.parts import Parts
-from .measure.statistics import render_statistics
 from .observers import Progress, RenderObserver, Tile, call_all
-from .programs.footprints import image_statistics
 from .programs.requests import prepared_scene
 from .scene.description import Scene
 from .scene.features import SceneFeatures, derive_features
-from .scene.notice import by_weight, described
 from .scene.validate import checked_scene
 from .settings.settings import RenderSettings
 from .wavefront.adaptive.ranges import check_after, chosen_looks, pixels_can_end
 from .wavefront.estimates.displacement import mover
 from .wavefront.integrator import TileIntegrator
-from .wavefront.plan.plan import Choice, Memory, plan_tracing, report_of
+from .wavefront.plan.plan import Choice, Memory, plan_tracing
 from .wavefront.render.rendering import RenderEvents, Rendering, snapshot_watchers
 from .wavefront.render.resume import ResumeState, check_samples, film_to_fill
-from .wavefront.render.summary import batching_totals, ray_totals, rounds_summary, workers_summary
-from .wavefront.render.workers import make_workers
+from .wavefront.render.workers import WorkersFor
 from .wavefront.scene.device_scene import DeviceScene
+from .wavefront.scene.kept_scene import KeptScene, asked_of
 from .wavefront.scene.scene_cache import GeometryRequest, SceneCache
 from .wavefront.tier import choose_tier
 
@@ -74,6 +69,7 @@ class Session:
         self.device = find_device(device or self.settings.device)
         self.layout = layout_for(self.device)  # of trees
         self._cache = SceneCache()
+        self._kept = KeptScene()
         self._tier_changes = TierChanges(self.device, compile_between_renders)
         self._building: Future | None = None  # the end of the last build
 
@@ -82,6 +78,7 @@ class Session:
         self._tier_changes.close()
         if self._building:
             wait([self._building])  # what a cancelled render left behind reads and fills the caches
+        self._kept.clear()
         self._cache.clear()
 
     def prewarm(
@@ -132,6 +129,7 @@ class Session:
         """
         check_after(settings or self.settings, sample_first, resume, after)
         self._tier_changes.open()
+        self._kept.begin(scene)
         job = self._job(
             scene,
             settings or self.settings,
@@ -161,7 +159,8 @@ class Session:
             if device_scene.paged and "page_file_warning" in device_scene.paged.statistics:
                 job.warnings.append(device_scene.paged.statistics["page_file_warning"])
             job.parts.enter("paths")
-            integrators = self._workers(job, device_scene, state)
+            workers = WorkersFor(self._kept, device_scene, job.scene.frame, job.settings)
+            integrators = self._workers(job, workers, state)
             counting = device_scene.tracing.counters(job.settings, job.features.passes)
             if counting:
                 job.warnings += counting.warnings()
@@ -171,6 +170,8 @@ class Session:
                 job.hardware = counters.report()
             else:
                 self._run(job, integrators, state, film)
+            if state.policy.stopped_by is not None and state.drained:
+                workers.keep()
         if checkpoint:
             job.parts.enter("checkpoint")
             checkpoint.end(state)
@@ -180,7 +181,7 @@ class Session:
         film.complete = state.policy.stopped_by is not None
         if not film.complete and state.drained:
             film.resume_state = state
-        film.statistics = self._statistics(job, film, state, integrators, modules, device_scene)
+        film.statistics = job.statistics(film, state, integrators, modules, device_scene, self.device)
         return film
 
     # --- before
@@ -198,14 +199,15 @@ class Session:
         observers: Sequence[RenderObserver],
     ) -> Job:
         parts.enter("check")
-        whole = checked_scene(scene)
+        whole = scene if self._kept.is_sound else checked_scene(scene)
+        self._kept.is_sound = self._kept.is_known and whole is scene
         displaced = self._displaced(whole, settings, parts, on_progress, cancelled)
         parts.enter("check")
         was_cancelled = displaced is None
         checked = prepared_scene(whole if displaced is None else displaced, settings)
         check_samples(settings, sample_first)
         size = GeometrySize.of(checked)
-        free = self._cache.free_for_geometry(checked.images, self.device)
+        free = self._cache.free_for_geometry(checked.images, self.device) + self._kept.device_bytes
         memory = Memory(size.needed(self.layout, self.device), free, free_memory(wp.get_device("cpu")))
         samples = settings.sample_count * checked.frame.pixel_count
         features = replace(derive_features(checked, settings), adaptive=pixels_can_end(settings, sample_first))
@@ -273,6 +275,8 @@ class Session:
             cancelled=preparation.is_given_up,
         )
 
+        asked = asked_of(job.settings, job.features, job.tier.shading, request)
+
         def build() -> DeviceScene:
             return DeviceScene.build(
                 job.scene, job.features, request, self.device, self._cache, job.tier.shading, preparation.enter
@@ -283,21 +287,21 @@ class Session:
             job.on_progress(reported)
 
         try:
-            return preparation.run(build, job.cancelled, on_progress)
+            return preparation.run(build, job.cancelled, on_progress, self._kept, asked)
         finally:
             job.warnings += preparation.warnings
             self._building = preparation.build
 
-    def _workers(self, job: Job, scene: DeviceScene, state: ResumeState) -> list[TileIntegrator]:
+    def _workers(self, job: Job, workers: WorkersFor, state: ResumeState) -> list[TileIntegrator]:
         last = state.end == state.policy.sample_count
         areas = [halves[0].tile.pixel_count for halves in (state.open_tiles if last else state.tiles)]
         # samples of a pixel in one half: halves are rendered one after the other
         samples = -(-state.policy.sample_count // job.settings.half_count)
-        workers = make_workers(scene, job.scene.frame, job.settings, areas, samples)
-        job.warnings += workers.warnings
-        job.chosen.update(workers.chosen)
-        job.path_bytes = workers.path_bytes
-        return workers.integrators
+        made = workers.get(areas, samples)
+        job.warnings += made.warnings
+        job.chosen.update(made.chosen)
+        job.path_bytes = made.path_bytes
+        return made.integrators
 
     # --- the render itself
 
@@ -310,6 +314,8 @@ class Session:
 
         def on_progress(fraction: float, samples: float, seconds: float) -> None:
             nonlocal seconds_left
+            if job.change:
+                job.change.go_on()
             seconds_left = seconds / fraction - seconds if fraction > 0.001 else None
             rays = sum(i.rays.total for i in integrators)
             progress = progress_of(
@@ -353,45 +359,3 @@ class Session:
             job.chosen["kernel_tier"] = Choice("GENERAL", why)
         if change and (complaint := self._tier_changes.complaint(change.request)):
             job.warnings.append(f"specialised kernels could not be compiled, general ones rendered: {complaint}")
-
-    # --- after
-
-    def _statistics(
-        self,
-        job: Job,
-        film: Film,
-        state: ResumeState,
-        integrators: list[TileIntegrator],
-        modules: list[str],
-        device_scene: DeviceScene | None,
-    ) -> dict[str, Any]:
-        job.warnings += job.rendering.warnings if job.rendering else []
-        invalid = state.invalid_samples
-        if invalid:
-            job.warnings.append(
-                f"{invalid:,} samples were not finite and count as black; this is a fault, please report the scene"
-            )
-        return render_statistics(
-            device=self.device,
-            settings=job.settings,
-            features=job.features,
-            frame={"width": film.width, "height": film.height, "region": [*film.region], "passes": [*film.pass_names]},
-            seconds=job.parts.record(),
-            rays=ray_totals(integrators),
-            samples=film.sample_total,
-            counts={
-                "kernels": job.kernels,
-                **workers_summary(integrators, device_scene, job.hardware, job.path_bytes),
-                **batching_statistics(batching_totals(integrators), report_of({**job.plan.choices, **job.chosen})),
-                **rounds_summary(film, state, None if job.rendering is None else job.rendering.error_report()),
-                "triangles": sum(len(job.scene.meshes[i].triangles) for i in job.scene.instances.mesh),
-                "instances": len(job.scene.instances),
-                "lights": len(job.scene.lights),
-                "images": image_statistics(job.scene, device_scene.images if device_scene else None),
-                "invalid_samples": invalid,
-                "modules": modules,
-                "warnings": job.warnings,
-                "checkpoint": job.checkpoint and job.checkpoint.statistics,
-                "missing": [described(notice) for notice in by_weight(job.scene.warnings)],
-            },
-        )

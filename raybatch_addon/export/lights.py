@@ -17,6 +17,7 @@ import numpy as np
 
 from ..core.scene.description import ClosureKind, Light, LightKind, Program, Visibility
 from ..core.scene.notice import Notice, Weight, about
+from .kept_graphs import KeptGraphs
 from .nodes.collections import Collections
 from .nodes.compile import compile_graph
 from .world import has_nodes, usable_emission
@@ -43,17 +44,33 @@ class LampGraphs:
     A photometric file may be large, and many lamps may share it.
     """
 
-    def __init__(self, collections: Collections | None = None) -> None:
-        """`collections` gets the images and attributes that nodes refer to."""
+    def __init__(self, collections: Collections | None = None, kept: KeptGraphs | None = None) -> None:
+        """`collections` gets the images and attributes that nodes refer to; `kept`: graphs of earlier exports, which
+        ask it too.
+        """
         self._collections = collections or Collections()
+        self._kept = kept or KeptGraphs(self._collections)
         self._known: dict[Hashable, LampGraph] = {}
 
     def of(self, light: bpy.types.Light) -> LampGraph:
         """The graph of an evaluated light datablock."""
         key = (light.as_pointer(), light.session_uid)
         if key not in self._known:
-            self._known[key] = _lamp_graph(light, self._collections)
+            self._known[key] = self._graph(light)
         return self._known[key]
+
+    def _graph(self, light: bpy.types.Light) -> LampGraph:
+        if not has_nodes(light):
+            return LampGraph(np.ones(3), None)
+        self._collections.begin()
+        signature = self._kept.graph_signature(light)
+        kept = self._kept.kept(light, signature)
+        if kept is not None:
+            return kept.made
+        self._collections.begin()
+        graph = _lamp_graph(light, self._collections)
+        self._kept.keep_graph(light, signature, graph, [])
+        return graph
 
 
 def export_light(
@@ -121,12 +138,10 @@ def _strength(light: bpy.types.Light) -> np.ndarray:
 
 
 def _lamp_graph(light: bpy.types.Light, collections: Collections) -> LampGraph:
-    if not has_nodes(light):
-        return LampGraph(np.ones(3), None)
+    """The nodes of `light`, compiled."""
     output = collections.output(light.node_tree)
     if output is None:
         return LampGraph(np.zeros(3), None)
-    collections.begin()
     compiled = compile_graph(output.inputs["Surface"], light, collections)
     asked = frozenset(collections.asked)
     if compiled.program is not None:

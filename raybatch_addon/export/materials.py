@@ -32,7 +32,7 @@ class ExportedMaterials:
 
     def __init__(self, collections: Collections | None = None) -> None:
         self.collections = collections or Collections()
-        self._kept = KeptMaterials(self.collections)
+        self.kept = KeptMaterials(self.collections)  # graphs of earlier exports
         self.materials: list[Material] = []
         # for each material: kind and name of the attributes that it reads
         self.asked: list[frozenset[tuple[str, str]]] = []
@@ -60,22 +60,22 @@ class ExportedMaterials:
 
     def begin_live(self, untouched: UntouchedMaterials) -> None:
         """A pass of a viewport begins; `untouched`: materials that were not edited since its last one."""
-        self._kept.untouched = untouched
+        self.kept.untouched = untouched
         untouched.begin(self.collections)
 
     @property
     def reads_elsewhere(self) -> bool:
         """Whether a graph may read more than its nodes: places of objects, or animated values."""
-        return self._kept.reads_elsewhere
+        return self.kept.reads_elsewhere
 
     def forget_graphs(self) -> None:
         """Keep nothing of Blender's."""
-        self._kept.forget_graphs()
+        self.kept.forget_graphs()
 
     def end_live(self) -> None:
         """The pass is over."""
-        assert self._kept.untouched is not None  # since `begin_live`
-        self._kept.untouched.end(self.collections, self._kept.used)
+        assert self.kept.untouched is not None  # since `begin_live`
+        self.kept.untouched.end(self.collections, self.kept.used)
 
     def holdout(self) -> int:
         """The index of a material that is a hole in the picture."""
@@ -97,18 +97,18 @@ class ExportedMaterials:
 
     def _export(self, material: bpy.types.Material | None) -> tuple[Material, list[str]]:
         self.collections.begin()
-        found = self._kept.find_untouched(material)
+        found = self.kept.find_untouched(material)
         if found is not None:
             return found
         self.collections.begin()
         self.compiled_count += 1
-        signature = self._kept.signature(material)
-        found = self._kept.find(material, signature) if signature is not None else None
+        signature = self.kept.signature(material)
+        found = self.kept.find(material, signature) if signature is not None else None
         if found is None:
             self.collections.begin()
             exported, notes = export_material(material, self.collections)
             found = replace(exported, index=material.pass_index if material else 0), notes
-            self._kept.keep(material, signature, *found)
+            self.kept.keep(material, signature, *found)
         return found
 
     def warnings(self) -> list[Notice]:

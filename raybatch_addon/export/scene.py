@@ -109,7 +109,7 @@ def assembled(
     collections = placements.materials.collections
     # evaluated: with the current values of drivers and keyframes
     shown = world_of(depsgraph.scene_eval, depsgraph.view_layer_eval)
-    world = with_portals(export_world(shown, warnings, collections), placements.portals)
+    world = with_portals(export_world(shown, warnings, collections, placements.materials.kept), placements.portals)
     groups = [each.name for each in depsgraph.view_layer.lightgroups]
     if shown is not None and shown.lightgroup in groups:
         world = replace(world, light_group=groups.index(shown.lightgroup))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+from operator import attrgetter
 from typing import Any
 
 import bpy
@@ -18,8 +20,18 @@ def settings_from(scene: bpy.types.Scene) -> RenderSettings:
     """
     wanted = asked()
     properties = getattr(scene, "raybatch", None)
-    own = {} if properties is None else {name: exact(getattr(properties, name)) for name in SETTINGS}
-    return RenderSettings(**own | engine_settings(scene, wanted.settings_from) | wanted.settings)
+    own = {} if properties is None else dict(zip(SETTINGS, map(exact, _stored(properties)), strict=True))
+    values = own | engine_settings(scene, wanted.settings_from) | wanted.settings
+    return _settings_of(tuple(values.items()))
+
+
+_stored = attrgetter(*SETTINGS)
+
+
+@functools.lru_cache(maxsize=16)
+def _settings_of(values: tuple[tuple[str, Any], ...]) -> RenderSettings:
+    """The settings with these values, by name: those of the last renders were looked at before."""
+    return RenderSettings(**dict(values))
 
 
 def output_engine(scene: bpy.types.Scene) -> str:

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
 
 from ..core.programs.builder import ProgramBuilder
-from ..core.scene.description import ClosureKind, Light, SkySun, Visibility, World
+from ..core.scene.description import ClosureKind, Light, Program, SkySun, Visibility, Volume, World
 from ..core.scene.notice import Notice, Weight, about
+from .kept_graphs import KeptGraphs
 from .nodes.collections import Collections
 from .nodes.compile import compile_graph, compile_volume
 
@@ -21,30 +22,60 @@ _SAMPLING_SIZE_MOST = 8192
 _SUN_SIZE_MOST = 2048  # most texels for the sake of suns alone; a larger table takes seconds to fill
 
 
-def export_world(world: bpy.types.World | None, warnings: list[str], collections: Collections | None = None) -> World:
+@dataclass(frozen=True)
+class _WorldGraph:
+    """The nodes of a world, compiled."""
+
+    radiance: tuple[float, float, float]  # without `program`
+    program: Program | None
+    volume: Volume | None
+    notes: tuple[str, ...]  # parts that are left out or approximated
+    environments: frozenset[int]  # images all around, by index
+
+
+def export_world(
+    world: bpy.types.World | None,
+    warnings: list[str],
+    collections: Collections | None = None,
+    kept: KeptGraphs | None = None,
+) -> World:
     """`world` as it lights the scene, black if there is none.
 
     `collections` gets the images and attributes that its nodes refer to, `warnings` a line for everything that was
-    replaced.
+    replaced; `kept`: graphs of earlier exports, which ask `collections` too.
     """
     collections = collections or Collections()
     if world is None:
         return World()
-    radiance = np.array(world.color[:3], float)
-    program = volume = None
+    radiance, program, volume = tuple(world.color[:3]), None, None
     if has_nodes(world):
-        output = collections.output(world.node_tree)
-        compiled = compile_graph(output.inputs["Surface"] if output else None, world, collections)
-        warnings += [about(note, f"world “{world.name}”") for note in compiled.notes]
-        program = compiled.program
-        lit = [closure.weight for closure in compiled.closures if closure.kind == ClosureKind.EMISSION]
-        radiance = np.sum(lit, axis=0) if lit else np.zeros(3)
-        volume, notes = compile_volume(output.inputs.get("Volume") if output else None, world, collections)
-        warnings += [about(note, f"world “{world.name}”") for note in notes]
-    usable = usable_emission(radiance, f"world “{world.name}”", warnings)
+        graph = _world_graph(world, collections, kept or KeptGraphs(collections))
+        collections.environments |= graph.environments
+        warnings += [about(note, f"world “{world.name}”") for note in graph.notes]
+        radiance, program, volume = graph.radiance, graph.program, graph.volume
+    usable = usable_emission(np.array(radiance, float), f"world “{world.name}”", warnings)
     sun = _sun(collections)
     size = _sampling_size(world, collections, sun)
     return World(usable, _visibility(world), program, size, sun=sun, volume=volume)
+
+
+def _world_graph(world: bpy.types.World, collections: Collections, kept: KeptGraphs) -> _WorldGraph:
+    """The nodes of `world`, compiled now or by an earlier export."""
+    collections.begin()
+    signature = kept.graph_signature(world)
+    found = kept.kept(world, signature)
+    if found is not None:
+        return found.made
+    collections.begin()
+    output = collections.output(world.node_tree)
+    compiled = compile_graph(output.inputs["Surface"] if output else None, world, collections)
+    lit = [closure.weight for closure in compiled.closures if closure.kind == ClosureKind.EMISSION]
+    radiance = np.sum(lit, axis=0) if lit else np.zeros(3)
+    volume, notes = compile_volume(output.inputs.get("Volume") if output else None, world, collections)
+    environments = frozenset(collections.environments)
+    graph = _WorldGraph(tuple(radiance), compiled.program, volume, (*compiled.notes, *notes), environments)
+    kept.keep_graph(world, signature, graph, [])
+    return graph
 
 
 def with_portals(world: World, portals: Sequence[Light]) -> World:

@@ -128,19 +128,25 @@ class TierChange:
         left: Callable[[], float | None],
         device: wp.Device,
     ):
-        """Begins at once. `left`: how long the render will take from now on, if known [s]."""
+        """`left`: how long the render will take from now on, if known [s]."""
         self.request = request
         self.changed_after: float | None = None  # seconds from here
         self._changes, self._integrators = changes, integrators
         self._left, self._device = left, device
         self._over, self._begun = threading.Event(), time.perf_counter()
-        self._thread = threading.Thread(target=self._watch, daemon=True)
-        self._thread.start()
+        self._thread: threading.Thread | None = None
+
+    def go_on(self) -> None:
+        """The render goes on: watch it from now on, unless it has just begun."""
+        if self._thread is None and time.perf_counter() - self._begun >= _POLL_SECONDS:
+            self._thread = threading.Thread(target=self._watch, daemon=True)
+            self._thread.start()
 
     def close(self) -> None:
         """The render is over."""
         self._over.set()
-        self._thread.join()
+        if self._thread:
+            self._thread.join()
         seconds = time.perf_counter() - self._begun if self.changed_after is None else self.changed_after
         self._changes.spend(self.request, seconds)
         if self.changed_after is None:
@@ -148,10 +154,11 @@ class TierChange:
 
     def _watch(self) -> None:
         try:
-            while not self._over.wait(_POLL_SECONDS):
+            while not self._over.is_set():
                 if self._changes.poll(self.request, self._left()):
                     self._take_over()
                     return
+                self._over.wait(_POLL_SECONDS)
         except (RayBatchError, RuntimeError, OSError, ValueError) as error:  # the render goes on as it began
             self._changes.fail(self.request.features, str(error))
 

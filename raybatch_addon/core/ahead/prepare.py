@@ -10,10 +10,11 @@ from concurrent.futures import Future
 import warp as wp
 
 from ..device.compiler import CompileStoppedError
-from ..device.devices import load_kernels
+from ..device.devices import load_kernels, loaded_modules
 from ..device.notes import take_notes
 from ..measure.parts import Parts
 from ..wavefront.scene.device_scene import DeviceScene
+from ..wavefront.scene.kept_scene import KeptScene
 from .aside import WaitedParts, begin_aside, end_of, is_awaited, once_free
 
 
@@ -55,8 +56,11 @@ class Preparation:
         build: Callable[[], DeviceScene],
         cancelled: Callable[[], bool],
         on_progress: Callable[[str, float, str], None],
+        kept: KeptScene,
+        asked: tuple,
     ) -> tuple[DeviceScene | None, list[str]]:
-        """What `build` returned, and the names of the modules; nothing when cancelled meanwhile.
+        """What `build` returned, or what is `kept` and was `asked` for alike, and the names of the modules; nothing
+        when cancelled meanwhile.
 
         `on_progress` gets a stage, the share of the kernels that are there, and a message.
         """
@@ -69,15 +73,20 @@ class Preparation:
 
         if cancelled():
             return None, []
+        found, is_free = kept.find(asked), self._before is None or self._before.done()
+        if found is not None and is_free and (names := loaded_modules(self._kernels, self._device)) is not None:
+            self.build = None
+            return found, names  # no thread is begun
         modules, built = begin_aside(self._load), begin_aside(functools.partial(self._build, build))
         self.build = end_of(built)
         try:
             if not all(is_awaited(each, cancelled, show) for each in (built, modules)):
                 return None, []
-            made = built.result(), modules.result()
+            made, names = built.result(), modules.result()
             self.build = None
+            kept.keep(asked, made)
             self.warnings = take_notes()  # only of a render that goes on: the next one reports what this one cannot
-            return made
+            return made, names
         except CompileStoppedError:  # the session was closed
             return None, []
         finally:

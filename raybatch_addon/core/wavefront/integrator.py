@@ -36,7 +36,7 @@ from .scene.device_scene import DeviceScene
 from .scheduler import WaterMarks
 from .stages import generate
 from .stages.generate import counted_kernel
-from .stages.limits import half_seed, path_limits
+from .stages.limits import path_limits
 from .stages.stage import stage_thread_count
 from .stages.work import ShadingStage, TileWork, VolumeStage
 from .tier import array_features
@@ -56,14 +56,7 @@ class TileIntegrator:
 
     def __init__(self, scene: DeviceScene, frame: Frame, settings: RenderSettings, marks: WaterMarks):
         features, device, count = scene.features, scene.device, marks.path_count
-        self._scene, self._frame, self._settings, self._marks = scene, frame, settings, marks
-        self._kernels = StageKernels.choose(features, device, scene.shading)
-        self._wanted_kernels = self._kernels  # for the next turn
-        self._half_limits = [
-            path_limits(settings.replace(seed=half_seed(settings.seed, half)), frame.width)
-            for half in range(settings.half_count)
-        ]
-        self._limits = self._half_limits[0]
+        self._scene, self._frame, self._marks = scene, frame, marks
         self._layout = layout_of(frame.passes, frame.transparent)
         self._paths = allocate_paths(count, array_features(features, scene.shading), device)
         self._passes = make_path_passes(count, features, self._layout, scene.pass_inputs, scene.camera, device)
@@ -74,8 +67,7 @@ class TileIntegrator:
         self._rays = allocate_rays(count, device, dataclasses.replace(needs, shadow_rays=scene.shadow_rays))
         self._catchers = None  # nothing catches shadows
         if features.catchers:
-            of_scene = scene.pass_inputs.is_catcher
-            self._catchers = allocate_caught(count, self._layout, features, of_scene, device)
+            self._catchers = allocate_caught(count, self._layout, features, scene.pass_inputs.is_catcher, device)
         self._volumes = None  # there are none
         if scene.volumes:
             self._volumes = with_state(scene.volumes.data, count, settings.volume_bounce_max, device)
@@ -95,8 +87,8 @@ class TileIntegrator:
         # of each path, for the counters
         self._bounce, self._pixel = (wp.zeros(count if counting else 0, dtype=int, device=device) for _ in range(2))
         self._timer = self._counters.timer if self._counters else NoTimer()
-        self._order, sort_mode = None, tracing.sort_mode(settings)
-        if scene.tree and sort_mode != "OFF":
+        self._order = None
+        if scene.tree and (sort_mode := tracing.sort_mode(settings)) != "OFF":
             self._order = RayOrder(sort_mode, count, scene.box, device, self._timer)
         self._hit_order = None
         if key := scene.hits_sorted_by(settings):
@@ -118,10 +110,19 @@ class TileIntegrator:
         self._mattes = Mattes()  # of the tile, beside those in its slots
         self._filter = wp.array(filter_table(settings.pixel_filter, settings.filter_width), dtype=float, device=device)
         self._launches = RepeatedLaunches(device)
-        self._alive = 0
         self.path_count = count  # slots: paths alive at once at most
-        self.rays = RayTotals()
-        self.invalid_samples = 0
+        self.begin(settings)
+
+    def begin(self, settings: RenderSettings) -> None:
+        """A render begins, by `settings` that differ from those before in their random numbers alone."""
+        self._settings, scene = settings, self._scene
+        self._kernels = StageKernels.choose(scene.features, scene.device, scene.shading)
+        self._wanted_kernels = self._kernels  # for the next turn
+        self._half_limits = [path_limits(settings, self._frame.width, half) for half in range(settings.half_count)]
+        self._limits = self._half_limits[0]
+        if self._order:
+            self._order.begin()
+        self.rays, self.invalid_samples, self._alive = RayTotals(), 0, 0
         self.items_done = 0  # paths that came to their end, for progress
         self.tail_seconds = 0.0  # of the last `render`: from its last full waves to the picture
         self.patience: float | None = None  # how long a stopped tile waits for its rays [s]; None: `DRAIN_SECONDS`

@@ -93,7 +93,7 @@ class PlacementCollector:
         collections.engine = output_engine(depsgraph.scene)
         if live is not None:
             self.placements.materials.begin_live(live.materials)
-        self._lamp_graphs = LampGraphs(collections)
+        self._lamp_graphs = LampGraphs(collections, self.placements.materials.kept)
         self._templates: dict[Hashable, Template | None] = {}
         self._holes: dict[Hashable, Template | None] = {}  # what the camera sees of holdout objects
         self._meshes: dict[Hashable, int | None] = {}

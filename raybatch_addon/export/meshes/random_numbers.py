@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import bpy
 import numpy as np
 
@@ -10,6 +12,7 @@ from ..lookup3 import lookup3
 _RANDOM_MOST = 2**32 - 1  # largest random number of an object
 
 
+@functools.lru_cache(maxsize=1 << 16)
 def _random_id(name: str) -> int:
     """The random number of an object that is no instance, as Cycles draws it from the name.
 

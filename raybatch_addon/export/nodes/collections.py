@@ -27,7 +27,7 @@ class Collections:
     def __init__(self) -> None:
         self.frame = 0  # the scene's frame, for images that change with it
         self.images: list[Image] = []
-        self.environment_width = 0  # width of the widest image that worlds show [texels]
+        self.environments: set[int] = set()  # images that worlds show all around, by index
         # suns in the worlds' skies: unit vector towards each, None where it is not known, and angular diameter [rad]
         self.suns: set[tuple[tuple[float, float, float] | None, float]] = set()
         self.warnings: list[str] = []  # messages about images and attributes that cannot be used as they are, by name
@@ -42,6 +42,12 @@ class Collections:
         self.view_layer: bpy.types.ViewLayer | None = None  # Blender's, whose properties graphs may read
         self.scene: bpy.types.Scene | None = None
         self.engine = "CYCLES"  # whose output node counts where a tree has one for each engine
+
+    @property
+    def environment_width(self) -> int:
+        """Width of the widest image that worlds show [texels]."""
+        pictures = [self.images[index].pixels for index in self.environments]
+        return max((each.shape[1] for each in pictures if each is not None), default=0)
 
     def output(self, tree: bpy.types.NodeTree) -> bpy.types.Node | None:
         """The output node of a node tree that counts, None where it has none for this engine or for all."""

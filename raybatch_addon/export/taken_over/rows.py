@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -14,9 +15,14 @@ CYCLES, EEVEE = "CYCLES", "EEVEE"
 
 def exact(value: Any) -> Any:
     """`value` of a property of Blender, as it was typed."""
+    return _typed(value) if isinstance(value, float) else value
+
+
+@functools.lru_cache(maxsize=1024)
+def _typed(value: float) -> float:
     # Blender keeps float32: the shortest decimal of the same float32 is the number that was typed, and lies within the
     # range
-    return float(str(np.float32(value))) if isinstance(value, float) else value
+    return float(str(np.float32(value)))
 
 
 @dataclass(frozen=True)

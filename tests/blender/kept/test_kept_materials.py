@@ -5,7 +5,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from raybatch_addon.export import kept_materials, materials
+from raybatch_addon.export import kept_graphs, materials
 from tests.support.blender_builders import add_triangle, exported, node_tree
 
 pytestmark = pytest.mark.usefixtures("scene")
@@ -14,7 +14,7 @@ pytestmark = pytest.mark.usefixtures("scene")
 @pytest.fixture
 def compiled(monkeypatch):
     """Names of the materials that were compiled."""
-    kept_materials.forget_materials()
+    kept_graphs.forget_kept()
     names = []
     real = materials.export_material
 
@@ -67,7 +67,7 @@ def same(a, b):
 
 
 def assert_as_new(scene):
-    kept_materials.forget_materials()
+    kept_graphs.forget_kept()
     new = exported()
     assert all(map(same, scene.materials, new.materials)) and len(scene.materials) == len(new.materials)
     assert scene.warnings == new.warnings and scene.attributes == new.attributes

@@ -8,6 +8,7 @@ import warp as wp
 from raybatch_addon.core.ahead.prepare import Preparation
 from raybatch_addon.core.device.notes import note, take_notes
 from raybatch_addon.core.measure.parts import Parts
+from raybatch_addon.core.wavefront.scene.kept_scene import KeptScene
 
 SECONDS_MOST = 60.0  # until a thread that has nothing to do has done it
 
@@ -23,7 +24,7 @@ def nothing_noted():
 def test_a_render_that_goes_on_reports_the_notes():
     note("the kernel of a test was damaged")
     preparation = Preparation([], wp.get_device("cpu"), None, lambda: False, Parts("check"))
-    preparation.run(lambda: "the scene", lambda: False, lambda *progress: None)
+    preparation.run(lambda: "the scene", lambda: False, lambda *progress: None, KeptScene(), ())
     assert preparation.warnings == ["the kernel of a test was damaged"]
     assert take_notes() == []
 
@@ -41,6 +42,6 @@ def test_a_render_that_is_cancelled_leaves_the_notes_to_the_next_one():
         while not preparation.is_given_up() and time.monotonic() < until:
             time.sleep(0.001)
 
-    assert preparation.run(build, kernels_are_loaded, lambda *progress: None) == (None, [])
+    assert preparation.run(build, kernels_are_loaded, lambda *progress: None, KeptScene(), ()) == (None, [])
     assert preparation.warnings == []
     assert take_notes() == ["the kernel of another test was damaged"]

@@ -47,9 +47,11 @@ class BuiltTree:
         """Mesh trees that split no triangles: none were wanted, or their vertices moved."""
         return sum(not mesh.splits for mesh in self.meshes)
 
-    def note(self, built_count: int, refitted_count: int, start: float) -> None:
-        """Put into the statistics what was done for the frame since `start` [s, `time.perf_counter`]."""
-        seconds = round(time.perf_counter() - start, 6)
+    def note(self, built_count: int, refitted_count: int, start: float | None = None) -> None:
+        """Put into the statistics what was done for the frame since `start` [s, `time.perf_counter`]; None: nothing
+        was.
+        """
+        seconds = 0.0 if start is None else round(time.perf_counter() - start, 6)
         self.statistics = {**self.statistics, "built": built_count, "refitted": refitted_count, "seconds": seconds}
 
 

@@ -40,12 +40,16 @@ class RayOrder:
 
     def __init__(self, mode: str, path_count: int, box: np.ndarray, device: wp.Device, timer: StageTimer | NoTimer):
         """`mode` is the setting `ray_sort`; `box`, two corners [m], holds the surfaces."""
-        self.policy = SortPolicy(mode, ITEMS_FIRST * path_count)
-        self._box, self._device = box, device
+        self._mode, self._path_count, self._box, self._device = mode, path_count, box, device
         self._sorted_max = _sorted_max(path_count, device.is_cuda)
         self._sorter: RaySorter | None = None  # made when rays are sorted first
         self._watch = Stopwatch(cost_clock_of(device))
         self._timer = timer
+        self.begin()
+
+    def begin(self) -> None:
+        """A render begins, of which nothing is known."""
+        self.policy = SortPolicy(self._mode, ITEMS_FIRST * self._path_count)
         self._items_begun = 0
         self._parts: list[RayList] = []  # of the list of scattered rays `_whole`
         self._whole: wp.array | None = None

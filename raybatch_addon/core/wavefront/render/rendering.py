@@ -30,6 +30,8 @@ from .summary import ray_totals
 POLL_SECONDS = 0.05
 # A cancelled render that is kept waits this long for the rays that are under way, without which it cannot go on [s]
 KEPT_PATIENCE = 5.0
+# Most paths of a round that the calling thread renders by itself: to begin a thread takes as long as they do
+_PATHS_ALONE = 4096
 
 
 class StateKeeper(Protocol):
@@ -195,12 +197,24 @@ class Rendering:
         results: queue.SimpleQueue[FinishedTile | BaseException | None] = queue.SimpleQueue()
         stop = threading.Event()
 
-        def work(integrator: TileIntegrator) -> None:
+        def look() -> None:
+            """See, on the calling thread, whether the workers are to stop."""
+            nonlocal is_cancelled, is_kept
+            if not is_cancelled and events.cancelled():
+                is_cancelled = True
+                stop.set()
+                for integrator in self._integrators:
+                    integrator.patience = KEPT_PATIENCE if events.keeper else None
+            elif events.keeper and not stop.is_set() and events.keeper.is_due():
+                is_kept = True
+                stop.set()
+
+        def work(integrator: TileIntegrator, is_stopped: Callable[[], bool] = stop.is_set) -> None:
             try:
                 while not stop.is_set():
                     halves = todo.get_nowait()
                     left = state.items_left_of(halves)
-                    results.put(self._render_tile(integrator, halves, stop.is_set))
+                    results.put(self._render_tile(integrator, halves, is_stopped))
                     if 0 < state.items_left_of(halves) < left:  # one that was stopped waits for who resumes it
                         todo.put(halves)
             except queue.Empty:
@@ -215,18 +229,15 @@ class Rendering:
             integrator.patience = math.inf if events.keeper else None
         threads = [threading.Thread(target=work, args=(i,), daemon=True) for i in self._integrators]
         working = len(threads)
+        if working == 1 and self._steps is None and state.items_open <= _PATHS_ALONE:
+            threads = []
+            look()
+            work(self._integrators[0], self._alone(look, stop))
         for thread in threads:
             thread.start()
         try:
             while working:
-                if not is_cancelled and events.cancelled():
-                    is_cancelled = True
-                    stop.set()
-                    for integrator in self._integrators:
-                        integrator.patience = KEPT_PATIENCE if events.keeper else None
-                elif events.keeper and not stop.is_set() and events.keeper.is_due():
-                    is_kept = True
-                    stop.set()
+                look()
                 try:
                     result = results.get(timeout=POLL_SECONDS)
                     if isinstance(result, BaseException):
@@ -243,6 +254,20 @@ class Rendering:
             for thread in threads:
                 thread.join()
         return is_kept and not is_cancelled
+
+    def _alone(self, look: Callable[[], None], stop: threading.Event) -> Callable[[], bool]:
+        """Whether a worker on the calling thread is to stop: it looks up now and then as that thread does otherwise."""
+        looked = time.perf_counter()
+
+        def is_stopped() -> bool:
+            nonlocal looked
+            if time.perf_counter() - looked >= POLL_SECONDS:
+                look()
+                self._report_progress()
+                looked = time.perf_counter()
+            return stop.is_set()
+
+        return is_stopped
 
     def _render_tile(
         self, integrator: TileIntegrator, halves: Sequence[TileState], stop: Callable[[], bool]

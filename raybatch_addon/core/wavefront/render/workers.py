@@ -18,6 +18,7 @@ from ..order.ray_order import order_bytes
 from ..plan.plan import Choice, Method
 from ..rays import bytes_per_path
 from ..scene.device_scene import DeviceScene
+from ..scene.kept_scene import KeptScene, settings_but_seeds
 from ..scheduler import paths_a_worker, reduced_path_count, water_marks
 from ..tier import array_features
 from ..tracers.buckets.tracer import selection_of
@@ -29,6 +30,8 @@ PATH_MEMORY_SHARE = 0.6
 SPILL_BYTES = 1 << 19
 # Memory of each pixel at a look at its noise: colors of both halves, noise and its sums, and lists of pixels [bytes]
 LOOK_BYTES = 64
+# Most memory of workers that wait for the next render of their scene [bytes]
+_KEPT_MOST = 1 << 25
 
 
 @dataclass
@@ -37,8 +40,40 @@ class Workers:
 
     integrators: list[TileIntegrator] = field(default_factory=list)
     path_bytes: int = 0  # device memory of a path alive: all that grows with their number
+    worker_bytes: int = 0  # of all that a worker has
     warnings: list[str] = field(default_factory=list)
     chosen: dict[str, Choice] = field(default_factory=dict)  # for settings that were left open
+
+
+class WorkersFor:
+    """Workers for tiles of so many pixels and samples of a scene: those of its last render, or others."""
+
+    def __init__(self, kept: KeptScene, scene: DeviceScene, frame: Frame, settings: RenderSettings) -> None:
+        self._kept, self._scene, self._frame, self._settings = kept, scene, frame, settings
+        self._key: tuple = ()
+        self._made = Workers()
+
+    def get(self, areas: Sequence[int], sample_count: int) -> Workers:
+        """As `make_workers`."""
+        self._key = settings_but_seeds(self._settings), tuple(areas), sample_count
+        found = self._kept.take_workers(self._scene, self._key)
+        if found is None:
+            found = make_workers(self._scene, self._frame, self._settings, areas, sample_count)
+        else:
+            for each in found.integrators:
+                each.begin(self._settings)
+        self._made = found
+        return found
+
+    def keep(self) -> None:
+        """All that was asked of the workers is done: they serve the next render of the scene too, unless they take much
+        memory, or count from render to render. That of a CUDA device is planned by what is free.
+        """
+        made, scene = self._made, self._scene
+        is_small = made.worker_bytes * len(made.integrators) <= _KEPT_MOST
+        counts = scene.tracing.waits or any(each.is_counting for each in made.integrators)
+        if is_small and not counts and not scene.device.is_cuda:
+            self._kept.keep_workers(scene, self._key, made)
 
 
 def make_workers(
@@ -76,6 +111,7 @@ def make_workers(
     while True:
         try:
             marks = water_marks(settings, count)
+            made.worker_bytes = count * each + tile_bytes + sorting + SPILL_BYTES
             made.integrators = [TileIntegrator(scene, frame, settings, marks) for _ in range(workers)]
             break
         except (MemoryError, RuntimeError) as error:

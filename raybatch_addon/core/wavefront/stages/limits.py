@@ -41,10 +41,10 @@ def half_seed(seed: int, half: int) -> int:
     return x if x != seed else x ^ 1
 
 
-def path_limits(settings: RenderSettings, frame_width: int) -> PathLimits:
-    """The limits that `settings` ask for in a frame of this width."""
+def path_limits(settings: RenderSettings, frame_width: int, half: int = 0) -> PathLimits:
+    """The limits that `settings` ask for in a frame of this width, for samples of this half."""
     limits = PathLimits()
-    limits.seed = settings.seed
+    limits.seed = half_seed(settings.seed, half)
     limits.bounce_max = settings.bounce_max
     limits.diffuse_bounce_max = settings.diffuse_bounce_max
     limits.glossy_bounce_max = settings.glossy_bounce_max

@@ -51,10 +51,8 @@ def environment_texture(node: Node) -> dict[str, Value]:
     """
     texture = node.node
     index, divide = _image_of(node)
-    image = node.graph.collections.images[index]
-    if image.pixels is not None and type(node.graph.owner).__name__ == "World":
-        widest = node.graph.collections.environment_width
-        node.graph.collections.environment_width = max(widest, image.pixels.shape[1])
+    if type(node.graph.owner).__name__ == "World":
+        node.graph.collections.environments.add(index)
     projection = EnvironmentProjection[texture.projection]
     direction = mapped(node, node.vector("Vector") if node.linked("Vector") else node.op("position", node.shift))
     color, alpha = node.op("environment", index, _INTERPOLATIONS[texture.interpolation], projection, divide, direction)

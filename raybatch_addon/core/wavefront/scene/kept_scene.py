@@ -1,0 +1,163 @@
+"""The last scene on its device as a whole, for the next render of the same."""
+
+from __future__ import annotations
+
+import functools
+import sys
+from dataclasses import fields, is_dataclass
+from operator import attrgetter
+from typing import Any, get_args, get_type_hints
+
+import numpy as np
+import warp as wp
+
+from ...bvh.build.scene_tree import BuiltTree
+from ...device.bulk import digest_of
+from ...scene.description import Scene
+from ...scene.features import SceneFeatures
+from ...scene.frozen import Same, is_frozen
+from ...settings.settings import SETTINGS, RenderSettings
+from ...shading.lights.table import LightTable
+from ..plan.plan import Method
+from ..plan.tracing import Tracing
+from .device_scene import DeviceScene
+from .scene_cache import GeometryRequest
+
+# Arrays that may change are looked at in each render, together up to this size [bytes]
+_LOOSE_MOST = 1 << 24
+# All settings but those of random numbers
+settings_but_seeds = attrgetter(*(name for name in SETTINGS if name not in ("seed", "sample_count")))
+
+
+class KeptScene:
+    """What the last render made of its scene, while scene and settings are the same but for random numbers."""
+
+    def __init__(self) -> None:
+        self._same: Same | None = None  # the scene of the last render
+        self.is_sound = False  # checks of that scene found nothing
+        self._asked: tuple = ()
+        self._made: DeviceScene | None = None
+        self._workers: tuple[tuple, Any] | None = None  # that rendered it, and what they were made for
+
+    def clear(self) -> None:
+        """Forget it."""
+        self._same, self.is_sound = None, False
+        self._drop()
+
+    def _drop(self) -> None:
+        self._made = self._workers = None
+
+    def begin(self, scene: Scene) -> None:
+        """A render of `scene` begins: what was made of another one is dropped before anything is made of this."""
+        key = scene_key(scene)
+        if key is None:
+            self.clear()
+        elif self._same is None or not self._same.holds(*key):
+            self.clear()
+            self._same = Same(*key)
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the next `begin` can tell that a scene is the same."""
+        return self._same is not None
+
+    def find(self, asked: tuple) -> DeviceScene | None:
+        """What was made of the scene that `begin` got, if it was asked for alike; otherwise that is dropped."""
+        if self._asked != asked:
+            self._drop()
+        if self._made is not None and isinstance(self._made.built, BuiltTree):
+            self._made.built.note(0, 0)
+        return self._made
+
+    def keep(self, asked: tuple, made: DeviceScene) -> None:
+        """`made` was made of the scene that `begin` got. What lies beyond memory changes while it is rendered, and is
+        not kept.
+        """
+        if self._same is not None and made.paged is None:
+            self._drop()
+            self._asked, self._made = asked, made
+
+    def take_workers(self, scene: DeviceScene, key: tuple) -> Any:
+        """The workers that rendered `scene` last, if they are kept and `key` is the same; they are the caller's now."""
+        kept, self._workers = self._workers, None
+        return kept[1] if kept is not None and scene is self._made and kept[0] == key else None
+
+    def keep_workers(self, scene: DeviceScene, key: tuple, workers: Any) -> None:
+        """Keep the `workers` that rendered `scene`, if that is kept."""
+        if scene is self._made:
+            self._workers = key, workers
+
+    @property
+    def device_bytes(self) -> int:
+        """Memory on the device that only this keeps: that of emissive triangles, which may be many [bytes]."""
+        if self._made is None:
+            return 0
+        lights = self._made.data.lights
+        values = (getattr(lights, name) for name in LightTable.vars)
+        return sum(int(each.capacity) for each in values if isinstance(each, wp.array))
+
+
+def asked_of(
+    settings: RenderSettings, features: SceneFeatures, shading: SceneFeatures, request: GeometryRequest
+) -> tuple:
+    """What a scene on its device follows from beside the `Scene`."""
+    plan, tracing = request.plan, Tracing.of(request.plan, request.layout, features)
+    sizes = (plan.treelet_size, plan.treelet_bytes) if plan.method is Method.BATCHED else ()
+    return settings_but_seeds(settings), features, shading, tracing, sizes, plan.splits, request.kind()
+
+
+def scene_key(scene: Scene) -> tuple[list[np.ndarray], tuple] | None:
+    """All of `scene`: its frozen arrays, and values, among them a digest of its other arrays; None where these are so
+    large that it is not worth while to look at them.
+    """
+    frozen: list[np.ndarray] = []
+    loose: list[np.ndarray] = []
+
+    def values_of(value: Any) -> Any:
+        if isinstance(value, np.ndarray):
+            is_kept = is_frozen(value)
+            (frozen if is_kept else loose).append(value)
+            return is_kept
+        if isinstance(value, tuple):
+            return tuple(map(values_of, value))
+        if is_dataclass(value):
+            plain, others = _read_by(type(value))
+            return type(value), plain(value), tuple(map(values_of, others(value)))
+        return value
+
+    values = values_of(scene)
+    if sum(each.nbytes for each in loose) > _LOOSE_MOST:
+        return None
+    return frozen, (values, digest_of(loose))
+
+
+@functools.cache
+def _read_by(kind: type):
+    """What reads the fields of a dataclass that hold no arrays, and those that may hold some; each as a tuple."""
+    hints = _hints_of(kind)
+    split: tuple[list[str], list[str]] = [], []
+    for each in fields(kind):
+        split[_may_hold_arrays(hints[each.name])].append(each.name)
+    return tuple(map(_getter, split))
+
+
+def _hints_of(kind: type) -> dict[str, Any]:
+    return get_type_hints(kind, vars(sys.modules[kind.__module__]))
+
+
+def _may_hold_arrays(hint: Any, around: frozenset[type] = frozenset()) -> bool:
+    """Whether values of the type `hint` have arrays in them; `around`: the dataclasses that it is a field of."""
+    if hint is np.ndarray or hint in (Any, object):
+        return True
+    if is_dataclass(hint):
+        hints, around = _hints_of(hint), around | {hint}
+        inner = (hints[each.name] for each in fields(hint))
+        return any(_may_hold_arrays(each, around) for each in inner if each not in around)
+    return any(_may_hold_arrays(each, around) for each in get_args(hint) if each not in around)
+
+
+def _getter(names: list[str]):
+    """What reads all attributes `names` of an object, as a tuple."""
+    if len(names) < 2:
+        return lambda value: tuple(getattr(value, name) for name in names)
+    return attrgetter(*names)
