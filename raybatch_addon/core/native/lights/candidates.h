@@ -69,7 +69,7 @@ auto node_light = [&](const auto* node) {
     if (has_side) both = both * turned(arriving);
     const Lanes light = power * (is_sound ? both : one) / most(apart, (Lanes)(1e-30f));
     const Lanes bounded = least(most(light, (Lanes)(LEAST)), (Lanes)(MOST));
-    const Lanes counted = (power > 0.0f) & !is_dark ? bounded : zero;
+    const Lanes counted = ((power > 0.0f) & !is_dark) ? bounded : zero;
     return counted;
 };
 #endif
