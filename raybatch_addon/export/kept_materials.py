@@ -73,6 +73,13 @@ class UntouchedMaterials:
         self._images = collections.images_by_key()
 
 
+def is_aimed_at(material: bpy.types.Material) -> bool:
+    """Whether light is aimed at what of `material` emits."""
+    # the setting belongs to Cycles, and is there as long as that add-on is enabled; a change of it updates no copy that
+    # was evaluated
+    return getattr(getattr(material.original, "cycles", None), "emission_sampling", "AUTO") != "NONE"
+
+
 def forget_materials() -> None:
     """Drop all materials that are kept."""
     _kept.clear()
@@ -102,7 +109,7 @@ class KeptMaterials:
             self.reads_elsewhere = True
             return None
         own = (material.name, material.pass_index, material.displacement_method, tuple(material.diffuse_color))
-        return (*own, self._collections.engine, graph)
+        return (*own, is_aimed_at(material), self._collections.engine, graph)
 
     def find_untouched(self, material: bpy.types.Material | None) -> tuple[Material, list[str]] | None:
         """Find a material as `find` does, one that no edit touched, without its signature."""
