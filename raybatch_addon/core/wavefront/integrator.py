@@ -60,7 +60,7 @@ class TileIntegrator:
         self._kernels = StageKernels.choose(features, device, scene.shading)
         self._wanted_kernels = self._kernels  # for the next turn
         self._half_limits = [
-            path_limits(settings.replace(seed=half_seed(settings.seed, half)), frame.width)
+            path_limits(settings.replace(seed=half_seed(settings.seed, half)), frame)
             for half in range(settings.half_count)
         ]
         self._limits = self._half_limits[0]
