@@ -55,6 +55,13 @@ class UntouchedMaterials:
         self._images = collections.images_by_key()
 
 
+def is_aimed_at(material: bpy.types.Material) -> bool:
+    """Whether light is aimed at what of `material` emits."""
+    # the setting belongs to Cycles, and is there as long as that add-on is enabled; a change of it updates no copy that
+    # was evaluated
+    return getattr(getattr(material.original, "cycles", None), "emission_sampling", "AUTO") != "NONE"
+
+
 class KeptMaterials(KeptGraphs):
     """Materials of one export that may be those of an earlier one."""
 
@@ -68,7 +75,7 @@ class KeptMaterials(KeptGraphs):
         if material is None or not has_nodes(material):
             return None
         own = material.pass_index, material.displacement_method, tuple(material.diffuse_color)
-        return self.graph_signature(material, *own)
+        return self.graph_signature(material, *own, is_aimed_at(material))
 
     def find_untouched(self, material: bpy.types.Material | None) -> tuple[Material, list[str]] | None:
         """Find a material as `find` does, one that no edit touched, without its signature."""

@@ -11,7 +11,7 @@ from ..core.programs.builder import Value
 from ..core.programs.op import VOLUME_PREFIX
 from ..core.scene.description import Closure, ClosureKind, Material
 from ..core.scene.notice import Notice, as_notice
-from .kept_materials import KeptMaterials, UntouchedMaterials
+from .kept_materials import KeptMaterials, UntouchedMaterials, is_aimed_at
 from .nodes.collections import Collections
 from .nodes.compile import compile_displacement, compile_graph, compile_volume, default_volume
 from .nodes.graph import find_source
@@ -107,7 +107,9 @@ class ExportedMaterials:
         if found is None:
             self.collections.begin()
             exported, notes = export_material(material, self.collections)
-            found = replace(exported, index=material.pass_index if material else 0), notes
+            if material is not None:
+                exported = replace(exported, index=material.pass_index, aimed=is_aimed_at(material))
+            found = exported, notes
             self.kept.keep(material, signature, *found)
         return found
 

@@ -157,11 +157,20 @@ def export_frame(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer, world:
         height,
         border=border,
         transparent=bool(render.film_transparent),
+        glass_roughness=_glass_roughness(scene),
         passes=passes,
         mist=_mist(world),
         alpha_threshold=threshold,
         occlusion_distance=occlusion_distance(scene, view_layer),
     )
+
+
+def _glass_roughness(scene: bpy.types.Scene) -> float | None:
+    """`Frame.glass_roughness`, as Cycles' settings have it."""
+    own = getattr(scene, "cycles", None)  # there as long as that add-on is enabled
+    if own is None or not (scene.render.film_transparent and own.film_transparent_glass):
+        return None
+    return float(own.film_transparent_roughness)
 
 
 def _mist(world: bpy.types.World | None) -> tuple[float, float, float]:

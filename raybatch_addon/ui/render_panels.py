@@ -53,12 +53,23 @@ def _draw(self, context):
         draw_box(layout, context, missing)
     if self.group == "FILM":
         column.prop(context.scene.render, "film_transparent", text="Transparent")
+        if hasattr(context.scene, "cycles"):
+            _draw_glass(column, context.scene)
     elif self.group == "PERFORMANCE":
         column.prop(context.scene.render, "use_persistent_data", text="Persistent Data")
     elif self.group == _SCHEDULE:
         _draw_complaint(layout, context)
     elif self.group == "MEMORY":
         draw_lines(layout, context, estimate_lines(context))
+
+
+def _draw_glass(column, scene: bpy.types.Scene) -> None:
+    """Whether a transparent film shows through glass; settings of Cycles."""
+    glass = column.column()
+    glass.active = scene.render.film_transparent
+    glass.prop(scene.cycles, "film_transparent_glass", text="Transparent Glass")
+    if scene.cycles.film_transparent_glass:
+        glass.prop(scene.cycles, "film_transparent_roughness", text="Roughness Threshold")
 
 
 def _draw_setting(column, context, info: SettingInfo) -> None:

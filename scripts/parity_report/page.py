@@ -130,7 +130,8 @@ def page(results: list, numbers: dict[str, int], versions: dict[str, str]) -> st
     if missing := len(all_features()) - len(results):
         lines += [f"**{missing} of {len(all_features())} features are not in this table yet.**", ""]
     lines += ["| family | within bounds | of | share |", "|---|---|---|---|"]
-    lines += [f"| {name} | {ok} | {total} | {ok / total:.0%} |" for name, (ok, total) in counts(results).items()]
+    # nothing but all of them is 100%
+    lines += [f"| {name} | {ok} | {total} | {100 * ok // total}% |" for name, (ok, total) in counts(results).items()]
     for family in FAMILIES:
         if some := [result for result in results if result.feature.family == family]:
             lines += _family(family, some, numbers)

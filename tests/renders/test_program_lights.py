@@ -142,3 +142,31 @@ def test_what_only_mirrors_see_is_no_light_to_aim_at(session):
     """
     lamp = Material("lamp", (), (ClosureKind.EMISSION,), emission_of("reflection"))
     assert mean(session, under_a_lamp(lamp, 500.0), sample_count=16) == pytest.approx(1, rel=0.02)
+
+
+def below_a_plane_that_shines(output: str, aimed: bool):
+    """A floor that fills the picture, below a large plane whose radiance is 1 less an output of Light Path.
+
+    `aimed`: whether light is aimed at the plane.
+    """
+    builder = ProgramBuilder()
+    value = builder.value("light_path")[LIGHT_PATH.index(output)]
+    radiance = builder.value("math", int(MathOperation.SUBTRACT), False, 1.0, value, 0.0)
+    builder.closure("emission", builder.value("combine_xyz", radiance, radiance, radiance))
+    shining = Material("shining", kinds=(ClosureKind.EMISSION,), program=builder.finish(), aimed=aimed)
+    floor = scenes.plane(size=50.0), scenes.IDENTITY, scenes.material(Closure(ClosureKind.DIFFUSE, (1.0,) * 3))
+    above = scenes.plane(size=400.0), scenes.translation(0, 0, 3), shining
+    view = scenes.camera(eye=(0.0, -1.0, 2.0), half_width=0.1)
+    return scenes.scene([floor, above], view=view, frame=Frame(16, 16))
+
+
+def test_what_light_is_not_aimed_at_shines_as_the_rays_that_meet_it_say(session):
+    # a ray that meets the plane is one of diffuse reflection; where light is aimed at the plane there is no such ray
+    aimed_at, left = (below_a_plane_that_shines("diffuse", aimed) for aimed in (True, False))
+    assert mean(session, aimed_at, sample_count=64, mis="OFF") > 0.5
+    assert mean(session, left, sample_count=64) == 0
+
+
+@pytest.mark.parametrize("mis", ["ON", "OFF"])
+def test_what_light_is_not_aimed_at_shines_as_bright(session, mis):
+    assert mean(session, below_a_plane_that_shines("camera", False), sample_count=64, mis=mis) == pytest.approx(1, 0.01)

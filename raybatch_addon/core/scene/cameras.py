@@ -103,6 +103,7 @@ class Frame:
     _: KW_ONLY
     border: tuple[int, int, int, int] | None = None  # x0, y0, x1, y1: rendered part (end exclusive); None: all
     transparent: bool = False  # the world does not cover the background of the objects: alpha is below 1 there
+    glass_roughness: float | None = None  # a transparent film shows through glass up to this; None: through none
     passes: tuple[str, ...] = ("Combined",)  # names of `PASSES` in `scene/passes.py`
     # mist: where it begins, how far behind that it is densest [m], and the exponent of the share between: 0.5, 1 or 2
     mist: tuple[float, float, float] = (0.0, 100.0, 1.0)

@@ -244,6 +244,7 @@ class Material:
     displacement: Program | None = None  # moves vertices (op `vertex_offset`)
     displacement_bends: bool = False  # `program` bends the normals of surfaces by the displacement too
     volume: Volume | None = None  # what fills the surfaces of this material; None: nothing
+    aimed: bool = True  # light is aimed at what emits; else rays that meet it by chance find all of its light
 
 
 @dataclass(frozen=True)

@@ -71,6 +71,7 @@ class SceneFeatures:
     smooth_normals: bool = False
     curves: bool = False  # some primitives are segments of curves, or points
     film_transparent: bool = False
+    film_glass: bool = False  # a transparent film shows through glass
     passes: tuple[str, ...] = ("Combined",)
     sample_sequence: str = "SOBOL"
     nee: str = "ON"
@@ -215,6 +216,7 @@ class SceneFeatures:
             "smooth normals": self.smooth_normals,
             "curves": self.curves,
             "transparent film": self.film_transparent,
+            "transparent film through glass": self.film_glass,
             "clamping": self.clamping,
             "Russian roulette": self.roulette,
             "adaptive sampling": self.adaptive,
@@ -281,6 +283,7 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
         smooth_normals=any(scene.meshes[i].corner_normals is not None for i in used_meshes),
         curves=any(scene.meshes[i].radii is not None and len(scene.meshes[i].triangles) > 0 for i in used_meshes),
         film_transparent=scene.frame.transparent,
+        film_glass=surfaces and scene.frame.transparent and scene.frame.glass_roughness is not None,
         passes=tuple(scene.frame.passes),
         sample_sequence=settings.sample_sequence,
         nee=settings.nee,

@@ -118,7 +118,7 @@ class TileIntegrator:
         self._settings, scene = settings, self._scene
         self._kernels = StageKernels.choose(scene.features, scene.device, scene.shading)
         self._wanted_kernels = self._kernels  # for the next turn
-        self._half_limits = [path_limits(settings, self._frame.width, half) for half in range(settings.half_count)]
+        self._half_limits = [path_limits(settings, self._frame, half) for half in range(settings.half_count)]
         self._limits = self._half_limits[0]
         if self._order:
             self._order.begin()

@@ -96,6 +96,9 @@ class Paths:
     passed_t: wp.array(dtype=float)  # distance from the last scattering to the extending ray's origin [m]
     shadow_t: wp.array(dtype=float)  # the same of the shadow ray, where there are programs, which may ask
     alpha: wp.array(dtype=float)  # coverage; transparent films
+    # 1: since the camera the path has scattered in clear glass alone, set by the first scattering; where a transparent
+    # film shows through glass
+    clear: wp.array(dtype=wp.uint8)
     # `history_after` of the extending ray, and of the shadow ray; where a program asks
     history: wp.array(dtype=int)
     shadow_history: wp.array(dtype=int)
@@ -117,6 +120,16 @@ class Paths:
 def bounce_of(status: int) -> int:
     """Scattering events of a path so far."""
     return status >> wp.static(BOUNCE_SHIFT)
+
+
+@wp.func
+def is_clear(paths: Paths, path: int, bounce: int) -> bool:
+    """Whether a transparent film shows what the path meets after `bounce` scatterings."""
+    if bounce > 0:
+        if paths.clear.shape[0] > 0:
+            return paths.clear[path] != wp.uint8(0)
+        return False
+    return True
 
 
 @wp.func
@@ -259,6 +272,7 @@ def needed_arrays(features: SceneFeatures) -> dict[str, bool]:
         "passed_t": transparency,
         "shadow_t": transparency and shadow_rays and bool(features.programs),
         "alpha": features.film_transparent,
+        "clear": features.film_glass,
         "history": history,
         "shadow_history": history and shadow_rays,
         "cone": features.texture_levels,

@@ -144,6 +144,7 @@ _LINKS = {
     "light_portals": "portals of the world",
     "light_groups": "the passes of light groups",
     "catchers": "shadow catchers",
+    "film_glass": "films that are transparent through glass",
 }
 
 

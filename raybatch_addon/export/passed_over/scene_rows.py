@@ -45,9 +45,12 @@ def _denoising_data(_scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bool
     return hasattr(own, "denoising_pass_use_albedo_roughness_weighting") and own.denoising_store_passes
 
 
-def _glass(scene: bpy.types.Scene, _layer: bpy.types.ViewLayer) -> bool:
+def _apart_behind_glass(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bool:
     own = _cycles(scene)
-    return bool(own and scene.render.film_transparent and own.film_transparent_glass)
+    if not (own and scene.render.film_transparent and own.film_transparent_glass):
+        return False
+    seen = [obj for obj in layer.objects if obj.type != "LIGHT"]
+    return any(obj.is_shadow_catcher or obj.is_holdout or obj.holdout_get(view_layer=layer) for obj in seen)
 
 
 def _simplified(scene: bpy.types.Scene, _layer: bpy.types.ViewLayer) -> str:
@@ -89,10 +92,10 @@ SCENE_ROWS = (
         "turn on Denoise in RayBatch's panel Denoise, or turn it off in Cycles' sampling settings",
     ),
     Row(
-        "a transparent film shows through glass in Cycles; here glass shows the background as black",
-        _glass,
+        "Transparent Glass: behind glass shadow catchers and holdout objects are neither, and shown as they are",
+        _apart_behind_glass,
         Weight.REPLACED,
-        "turn off Transparent Glass in Cycles' film settings",
+        "turn off Transparent Glass in the film's settings",
     ),
     Row(
         "Cycles' fast global illumination is not supported: late bounces are traced",

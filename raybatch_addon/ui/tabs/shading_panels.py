@@ -25,6 +25,8 @@ class RAYBATCH_MATERIAL_PT_settings(EnginePanel, bpy.types.Panel):
         layout = split_layout(self.layout)
         layout.prop(context.material, "displacement_method", text="Displacement")
         layout.prop(context.material, "pass_index")
+        if hasattr(context.material, "cycles"):
+            layout.prop(context.material.cycles, "emission_sampling")
 
 
 class _WorldPanel(EnginePanel):

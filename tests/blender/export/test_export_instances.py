@@ -307,6 +307,18 @@ def test_an_export_can_be_cancelled():
     assert export_scene(bpy.context.evaluated_depsgraph_get(), cancelled=lambda: True) is None
 
 
+def test_what_is_another_behind_clear_glass_is_said(scene):
+    obj = add_triangle()
+    scene.render.film_transparent = scene.cycles.film_transparent_glass = True
+
+    def said():
+        return any("Transparent Glass" in line for line in exported().warnings)
+
+    assert not said()
+    obj.is_holdout = True
+    assert said()
+
+
 def test_border_passes_and_alpha_of_the_frame(scene):
     render, layer = scene.render, scene.view_layers[0]
     render.resolution_x, render.resolution_y, render.resolution_percentage = 333, 99, 50
@@ -314,6 +326,9 @@ def test_border_passes_and_alpha_of_the_frame(scene):
     layer.use_pass_z = layer.use_pass_normal = True
     frame = exported().frame
     assert (frame.width, frame.height, frame.border, frame.transparent) == (166, 49, None, True)
+    assert frame.glass_roughness is None
+    scene.cycles.film_transparent_glass, scene.cycles.film_transparent_roughness = True, 0.25
+    assert exported().frame.glass_roughness == 0.25
     assert frame.passes == ("Combined", "Depth", "Normal")
     render.use_border = True
     render.border_min_x, render.border_max_x, render.border_min_y, render.border_max_y = 0.25, 0.5, 0.1, 0.9

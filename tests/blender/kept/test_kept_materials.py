@@ -59,7 +59,7 @@ def same(a, b):
     if a.program is None or b.program is None:
         return a == b
     return (
-        (a.name, a.closures, a.kinds) == (b.name, b.closures, b.kinds)
+        (a.name, a.closures, a.kinds, a.aimed) == (b.name, b.closures, b.kinds, b.aimed)
         and a.program.instructions == b.program.instructions
         and np.array_equal(a.program.constants, b.program.constants)
         and a.program.ops == b.program.ops
@@ -155,8 +155,12 @@ def drive(material):
     socket.driver_add("default_value").driver.expression = "0.625"
 
 
+def aim_never(material):
+    material.cycles.emission_sampling = "NONE"
+
+
 @pytest.mark.parametrize(
-    "change", [slider, in_group, ramp, ramp_color, curve, choice, unlink, mute, rename, add, drive]
+    "change", [slider, in_group, ramp, ramp_color, curve, choice, unlink, mute, rename, add, drive, aim_never]
 )
 def test_a_changed_material_is_compiled_again_and_no_other(compiled, change):
     material, other = add_material("A"), add_material("B")

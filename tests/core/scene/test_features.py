@@ -91,6 +91,10 @@ CODE = {
         ),
         "lives_kernel",
     ),
+    "transparent film through glass": (
+        dataclasses.replace(with_material(ClosureKind.GLASS), frame=Frame(8, 8, transparent=True, glass_roughness=0.1)),
+        "note_clear",
+    ),
     "smooth normals": (
         scenes.scene([(scenes.sphere(smooth=True), scenes.IDENTITY, scenes.diffuse())]),
         "corner_normals[",
@@ -126,7 +130,7 @@ def test_arrays_of_a_feature_are_allocated_only_for_scenes_that_have_it(device):
     where = find_device(device)
     base = SceneFeatures(surfaces=True, closures=(ClosureKind.DIFFUSE,))
     lean = allocate_paths(4, base, where)
-    for field in ("shadow_light", "passed", "passed_t", "alpha", "normal"):
+    for field in ("shadow_light", "passed", "passed_t", "alpha", "clear", "normal"):
         assert getattr(lean, field).size == 0, field
     full = allocate_paths(
         4,
@@ -135,11 +139,14 @@ def test_arrays_of_a_feature_are_allocated_only_for_scenes_that_have_it(device):
             lights=(LightKind.POINT,),
             closures=(ClosureKind.DIFFUSE, ClosureKind.TRANSPARENT),
             film_transparent=True,
+            film_glass=True,
             passes=("Combined", "Normal"),
         ),
         where,
     )
-    assert all(getattr(full, field).size for field in ("shadow_light", "passed", "passed_t", "alpha", "normal"))
+    assert all(
+        getattr(full, field).size for field in ("shadow_light", "passed", "passed_t", "alpha", "clear", "normal")
+    )
     assert bytes_per_path(base) < bytes_per_path(dataclasses.replace(base, lights=(LightKind.POINT,)))
 
 

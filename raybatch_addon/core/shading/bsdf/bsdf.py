@@ -280,9 +280,9 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
 
         result.direction = wi
         result.lobe = bits
+        result.closure = chosen
         if (bits & DELTA) != 0:
             result.weight = (total / lobe.selection) * delta
-            result.closure = chosen
         return result
 
     @wp.func
@@ -305,6 +305,7 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
         if result.pdf > 0.0:
             result.direction = proposed.direction
             result.lobe = proposed.lobe
+            result.closure = proposed.closure
         return result
 
     @wp.func

@@ -221,7 +221,7 @@ class BsdfSample:
     weight: wp.vec3
     pdf: float  # density as in `BsdfValue` [1/sr]; 0 for delta lobes
     lobe: int  # bits DIFFUSE, GLOSSY, TRANSMISSION, TRANSPARENT, DELTA, SUBSURFACE, PORTAL; 0: absorbed
-    closure: int  # index of the closure that chose the direction, where that is SUBSURFACE or PORTAL
+    closure: int  # index of the closure that chose the direction
 
 
 class Bsdf(NamedTuple):

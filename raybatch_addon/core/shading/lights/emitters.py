@@ -52,12 +52,14 @@ def find_emissive_triangles(
     """The emissive triangles of `scene` that surfaces can be lit by.
 
     `emitted` computes the mean radiance of triangles (instances, primitives) whose material is a program, float32,
-    shape [n, 3]. Triangles of radiance 0 are not sampled. Without `emitted` no program emits.
+    shape [n, 3]. Triangles of radiance 0, or of materials that are not aimed at, are not sampled. Without `emitted` no
+    program emits.
     """
     instances = scene.instances
     emission = _material_emission(scene)
     by_program = np.array([emitted is not None and _may_emit(material) for material in scene.materials], bool)
-    emits = emission.any(1) | by_program
+    aimed = np.array([material.aimed for material in scene.materials], bool)
+    emits = (emission.any(1) | by_program) & aimed
     chunks: list[tuple[np.ndarray, ...]] = []
     # what moves is not aimed at: where it is, and how wide it is seen, is another matter at each time
     # an emitter that no ray sees which surfaces scatter lights nothing
@@ -217,8 +219,9 @@ def _most(values: np.ndarray) -> int:
 
 
 def emits_light(material: Material, programs: bool) -> bool:
-    """Whether `material` may emit; with `programs` also by a program."""
-    return any(each.kind == ClosureKind.EMISSION for each in material.closures) or (programs and _may_emit(material))
+    """Whether light that `material` may emit is aimed at; with `programs` also that of a program."""
+    emits = any(each.kind == ClosureKind.EMISSION for each in material.closures)
+    return material.aimed and (emits or (programs and _may_emit(material)))
 
 
 def _may_emit(material: Material) -> bool:

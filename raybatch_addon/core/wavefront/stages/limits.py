@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import warp as wp
 
+from ...scene.description import Frame
 from ...settings.settings import RenderSettings
 
 
 @wp.struct
 class PathLimits:
-    """From `RenderSettings`, for kernels."""
+    """From `RenderSettings` and `Frame`, for kernels."""
 
     seed: wp.uint32
     bounce_max: int
@@ -25,6 +26,7 @@ class PathLimits:
     filter_glossy: float  # 0: off
     caustics_reflective: int  # 0: left out
     caustics_refractive: int
+    glass_roughness: float  # most of glass that a transparent film shows through
     nee_end: int  # light is sampled left of this column of the frame
 
 
@@ -41,8 +43,8 @@ def half_seed(seed: int, half: int) -> int:
     return x if x != seed else x ^ 1
 
 
-def path_limits(settings: RenderSettings, frame_width: int, half: int = 0) -> PathLimits:
-    """The limits that `settings` ask for in a frame of this width, for samples of this half."""
+def path_limits(settings: RenderSettings, frame: Frame, half: int = 0) -> PathLimits:
+    """The limits that `settings` ask for in `frame`, for samples of this half."""
     limits = PathLimits()
     limits.seed = half_seed(settings.seed, half)
     limits.bounce_max = settings.bounce_max
@@ -57,7 +59,8 @@ def path_limits(settings: RenderSettings, frame_width: int, half: int = 0) -> Pa
     limits.filter_glossy = settings.filter_glossy
     limits.caustics_reflective = int(settings.is_on("caustics_reflective"))
     limits.caustics_refractive = int(settings.is_on("caustics_refractive"))
-    limits.nee_end = {"ON": frame_width, "OFF": 0, "HALF": frame_width // 2}[settings.nee]
+    limits.glass_roughness = -1.0 if frame.glass_roughness is None else frame.glass_roughness
+    limits.nee_end = {"ON": frame.width, "OFF": 0, "HALF": frame.width // 2}[settings.nee]
     return limits
 
 

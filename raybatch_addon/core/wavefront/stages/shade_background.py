@@ -25,7 +25,7 @@ from ...shading.lights.world import world_pdf
 from ..passes.guides import note_seen_light
 from ..passes.light import add_to_group, make_add_light, shows_environment, split_light
 from ..passes.record import DEPTH_OF_NOTHING, record_background
-from ..rays import SHADOW_PASS, Paths, Status, bounce_of, left_point, visibility_of
+from ..rays import SHADOW_PASS, Paths, Status, bounce_of, is_clear, left_point, visibility_of
 from ..scene.shading_data import SceneData
 from .emitted import make_world_emission
 from .generate import pixel_sample
@@ -41,6 +41,7 @@ class BackgroundFeatures:
 
     world: bool
     film_transparent: bool
+    film_glass: bool = False
     depth_pass: bool
     clamping: bool
     world_program: ProgramFeatures = ProgramFeatures()
@@ -158,7 +159,10 @@ def make_background(features: BackgroundFeatures) -> wp.Function:
         throughput = paths.throughput[path]
         shows_world = bool(True)
         if wp.static(features.film_transparent):
-            if bounce == 0 and paths.alpha.shape[0] > 0:
+            shows_film = bounce == 0
+            if wp.static(features.film_glass):
+                shows_film = is_clear(paths, path, bounce)
+            if shows_film and paths.alpha.shape[0] > 0:
                 shows_world = False
                 paths.alpha[path] = paths.alpha[path] - (throughput[0] + throughput[1] + throughput[2]) / 3.0
         if wp.static(features.world):

@@ -128,6 +128,8 @@ def make_scattered(features: VolumeFeatures) -> wp.Function:
         if paths.cone.shape[0] > 0:
             paths.cone[path] = wp.vec2(0.0, 0.0)
         note_density(paths, path, v.bounce, chosen.pdf)
+        if wp.static(features.film_glass):
+            paths.clear[path] = wp.uint8(0)
         rays.origin[path] = v.surface.position
         rays.direction[path] = new
         rays.t_max[path] = wp.inf

@@ -138,6 +138,9 @@ def fog(scene: bpy.types.Scene) -> None:
     _stage(scene, None, 0.3, 200.0)
     diffuse(ball("Ball", (0, 0, 1), 0.9), (0.8, 0.4, 0.3))
     world_volume(scene, _scatter("HENYEY_GREENSTEIN", Density=0.08, Anisotropy=0.6))
+    # Cycles steps through fog of one density exactly. By its other way, which is for densities that vary, one pixel of
+    # 1,600 is 2e5 after 4,096 samples, where none is above 2.5 by this way, nor by RayBatch
+    scene.cycles.volume_biased = True
 
 
 @feature("Density by noise", "Volumes", "picture")

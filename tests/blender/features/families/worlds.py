@@ -4,7 +4,18 @@ import math
 
 import bpy
 
-from tests.blender.features.build import ball, diffuse, floor, look, material_graph, shaded, world_graph
+from tests.blender.features.build import (
+    add_world,
+    ball,
+    diffuse,
+    floor,
+    lamp,
+    look,
+    material_graph,
+    principled,
+    shaded,
+    world_graph,
+)
 from tests.blender.features.graph import Graph
 from tests.blender.features.images import image_of, sky_map
 from tests.blender.features.registry import feature
@@ -161,6 +172,24 @@ _sky("Hosek-Wilkie", 3.0, sky_type="HOSEK_WILKIE", turbidity=3.0, ground_albedo=
 def film_transparent(scene: bpy.types.Scene) -> None:
     scene.render.film_transparent = True
     _stage(scene, _map(sky_map()))
+
+
+@feature("World: transparent to the camera through glass", "World", "picture")
+def film_glass(scene: bpy.types.Scene) -> None:
+    """Of four balls in a row those of sharp and of smooth glass are clear, and those of rough glass and of Principled
+    BSDF, rough too, are not; others are behind them.
+    """
+    scene.render.film_transparent = scene.cycles.film_transparent_glass = True
+    scene.cycles.film_transparent_roughness = 0.1
+    add_world(scene, 0.6, (0.6, 0.75, 1.0))
+    lamp("SUN", (0, 0, 5), target=(2, 3, 0), energy=2.0, angle=0.8)
+    for x, roughness in ((-1.5, 0.0), (-0.5, 0.08), (0.5, 0.3)):
+        shaded(ball(f"Glass {x}", (x, 0, 0.5), 0.48), "ShaderNodeBsdfGlass", Roughness=roughness, IOR=1.3)
+    principled(ball("Ball", (1.5, 0, 0.5), 0.48), (0.8, 0.9, 0.7), Roughness=0.2, Transmission_Weight=0.9)
+    for x in (-1.2, 0.8):
+        diffuse(ball(f"Behind {x}", (x, 2.0, 0.6), 0.3), (0.8, 0.3, 0.2))
+    shaded(ball("Hole", (-0.3, 2.0, 0.6), 0.25), "ShaderNodeHoldout")
+    look(scene, (0, -5, 0.9), (0, 0, 0.5), lens=45)
 
 
 @feature("World and textured material", "World", "picture")

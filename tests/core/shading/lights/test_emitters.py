@@ -130,6 +130,21 @@ def test_invisible_emissive_instances_are_not_asked():
     assert 0 not in find_emissive_triangles(scene).instance
 
 
+def test_materials_that_light_is_not_aimed_at_have_no_emitters():
+    scene = mesh_scene()
+    everything = find_emissive_triangles(scene)
+    shining = next(i for i, material in enumerate(scene.materials) if material.closures)
+    materials = list(scene.materials)
+    materials[shining] = dataclasses.replace(materials[shining], aimed=False)
+    fewer = find_emissive_triangles(dataclasses.replace(scene, materials=tuple(materials)))
+    dark = dataclasses.replace(scene.materials[shining], closures=())
+    materials[shining] = dark
+    expected = find_emissive_triangles(dataclasses.replace(scene, materials=tuple(materials)))
+    assert len(fewer) < len(everything)
+    for name in ("instance", "primitive", "radiance", "area", "program", "instance_first"):
+        np.testing.assert_array_equal(getattr(fewer, name), getattr(expected, name))
+
+
 @pytest.mark.parametrize("count", [1, 2, 3, 1000])
 def test_selection_probabilities_sum_to_exactly_one(count):
     rng = np.random.default_rng(count)

@@ -42,6 +42,7 @@ class SurfaceFeatures:
     light_groups: bool = False
     light_portals: bool = False  # the world is sampled through portals
     moving: bool = False  # instances or vertices move
+    film_glass: bool = False  # a transparent film shows through glass
     film_holes: bool = False  # surfaces cut holes into a film that has alpha
     records_surfaces: bool = False  # passes show what the first surfaces are
     splits_light: bool = False  # light is divided among passes

@@ -50,6 +50,7 @@ from ...rays import (
     VISIBILITY_SHIFT,
     Paths,
     Status,
+    is_clear,
     note_density,
     note_receiver,
     visibility_of,
@@ -61,6 +62,7 @@ from ..work import TileWork
 from .aim import AimFeatures, aimed_light, is_aimed, make_choose_light
 from .answered import make_answered_program
 from .caustics import make_leave_out_caustics
+from .clear import make_note_clear
 from .cone import cone_width, make_filtered_program, make_scattered_cone, path_cone
 from .connect_light import make_connect_light
 from .emission import make_gather_emission
@@ -107,6 +109,7 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
         colors = shows_colors(features.passes)
         record_surface = make_record_surface(kinds, features.transparency, colors, features.catchers)
     blur = make_blur(kinds)
+    note_clear = make_note_clear(kinds)
     leave_out_caustics = make_leave_out_caustics(kinds, features.caustics_reflective, features.caustics_refractive)
 
     @wp.func
@@ -206,7 +209,10 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
                         film.position[v.pixel.index] = surface.position
 
         if wp.static(features.film_holes):
-            if v.bounce == 0 and paths.alpha.shape[0] > 0:
+            shows_film = v.bounce == 0
+            if wp.static(features.film_glass):
+                shows_film = is_clear(paths, path, v.bounce)
+            if shows_film and paths.alpha.shape[0] > 0:
                 carried = paths.throughput[path]
                 seen = (carried[0] + carried[1] + carried[2]) / 3.0
                 paths.alpha[path] = paths.alpha[path] - seen * bsdf_holdout(closures, first, end)
@@ -332,6 +338,8 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
                 paths.side[path] = v.side
             if wp.static(features.light_links):
                 note_receiver(paths, path, v.receiver)
+            if wp.static(features.film_glass):
+                note_clear(limits, paths, path, v.bounce, scattered.lobe, closures[scattered.closure])
             seen_by = wp.static(int(Visibility.GLOSSY))
             if (scattered.lobe & TRANSMISSION) != 0:
                 seen_by = wp.static(int(Visibility.TRANSMISSION))

@@ -1,0 +1,35 @@
+"""Clear glass: what a transparent film shows is transparent behind it too, where that is asked for.
+
+As in Cycles a path stays as one of the camera while facets that are smooth enough send it to the other side; what it
+meets then is shown as if it had met nothing before, but for its throughput.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import warp as wp
+
+from ....scene.description import ClosureKind
+from ....shading.bsdf.bsdf import TRANSMISSION
+from ....shading.bsdf.materials import PASSING_KINDS, ClosureFeatures, ClosureRecord
+from ...rays import Paths, is_clear
+from ..limits import PathLimits
+
+
+@functools.cache
+def make_note_clear(features: ClosureFeatures) -> wp.Function:
+    """Function (limits, paths, path, bounce, lobe, closure): notes whether `lobe` of `closure`, by which a path
+    scatters after `bounce` scatterings, leaves it clear.
+    """
+    is_glass = features.test(PASSING_KINDS | {ClosureKind.SHEET})
+
+    @wp.func
+    def note_clear(limits: PathLimits, paths: Paths, path: int, bounce: int, lobe: int, closure: ClosureRecord):
+        clear = wp.uint8(0)
+        if (lobe & TRANSMISSION) != 0 and is_glass(closure.kind) and closure.roughness <= limits.glass_roughness:
+            if is_clear(paths, path, bounce):
+                clear = wp.uint8(1)
+        paths.clear[path] = clear
+
+    return note_clear

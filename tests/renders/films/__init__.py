@@ -1,0 +1,1 @@
+"""What films are like where things are transparent."""
