@@ -318,7 +318,7 @@ def test_fewer_rays_where_memory_is_short(session, monkeypatch):
     scene, settings = scenes.mixed(), SETTINGS.replace(sample_count=64, tile_size=32, ray_count=1 << 14, thread_count=1)
     ample = session.render(scene, settings)
     monkeypatch.setattr(workers, "free_memory", lambda device: 3 << 20)
-    short = session.render(scene, settings)
+    short = Session(session.device.alias).render(scene, settings)  # it has no rays of an earlier render
     (warning,) = short.statistics["warnings"]
     assert "ray_count was reduced from 16,384 to" in warning and session.device.alias in warning and "memory" in warning
     assert short.complete and ample.statistics["warnings"] == []
