@@ -317,21 +317,6 @@ def test_what_moves_is_followed_without_a_trace_in_the_film(lit, films, tmp_path
         assert film.passes["Combined"].tobytes() == films[-1][2].passes["Combined"].tobytes()
 
 
-def test_with_persistent_data_each_frame_and_each_render_has_a_report_of_its_own(lit, films):
-    """Blender keeps the engine then, from frame to frame and from render to render."""
-    lit.render.use_persistent_data = True
-    lit.raybatch.sample_count = 1
-    lit.frame_start, lit.frame_end = 1, 2
-    bpy.ops.render.render(animation=True)
-    assert [number for _, number, _ in films] == [1, 2]
-    lit.camera.scale.x = 0.0
-    with pytest.raises(RuntimeError, match="Camera"):
-        bpy.ops.render.render()
-    lit.camera.scale.x = 1.0
-    bpy.ops.render.render()
-    assert len(films) == 3 and reports.last().errors == []
-
-
 @pytest.mark.thorough  # two hundred frames
 @pytest.mark.skipif(not STATM.exists(), reason="the system does not report the resident memory of a process")
 def test_memory_is_flat_over_two_hundred_frames(lit, tmp_path):
