@@ -21,12 +21,12 @@ from .collapse import BOXES_COST, CollapseCost
 from .refit import RefitResult
 
 # Where so many triangles moved, or so many groups list one that did, the whole tree is as soon refitted
-SHARE_MOST = 0.2
+MOVED_SHARE_MOST = 0.2
 
 
 def is_part(moved: Sequence[tuple[int, int]], triangle_count: int) -> bool:
     """Whether the triangles `moved`, first and count, of so many are few enough for `refit_part`."""
-    return sum(count for _, count in moved) <= SHARE_MOST * triangle_count
+    return sum(count for _, count in moved) <= MOVED_SHARE_MOST * triangle_count
 
 
 @dataclass
@@ -100,7 +100,7 @@ def refit_part(
     """
     blocks = groups.view(BOXES_GROUP)[:, 0]
     changed = whole.groups_of(blocks["face"], moved)
-    if len(changed) > SHARE_MOST * len(groups):
+    if len(changed) > MOVED_SHARE_MOST * len(groups):
         return None
     faces = blocks["face"][changed]
     corners = positions[triangles[faces]].transpose(0, 2, 3, 1)  # group, corner, axis, lane
