@@ -10,6 +10,9 @@ from pathlib import Path
 from lib.output import OutputError, print_saved
 
 _WORKSHOP = ".raybatch-"  # begins the folders' names; the process follows
+# What whole files of a format end with
+_ENDS = {".png": b"IEND\xae\x42\x60\x82", ".jpg": b"\xff\xd9", ".jpeg": b"\xff\xd9"}
+_PROBE_BYTES = 1 << 16
 
 
 class Workshop:
@@ -34,6 +37,8 @@ class Workshop:
         if not made:
             raise OutputError(f"Blender wrote no picture to {place or self._where}; is the disk full?")
         for file in made:
+            self._check_whole(file, place)
+        for file in made:
             target = self._where / file.name
             if place is not None:
                 view = file.stem.removeprefix(name).lstrip("-0123456789") if len(made) > 1 else ""
@@ -41,6 +46,22 @@ class Workshop:
                 target = place.with_name(f"{base}{view}{file.suffix}") if view else place
             os.replace(file, target)
             print_saved(target)
+
+    def _check_whole(self, file: Path, place: Path | None) -> None:
+        """Raise `OutputError` where Blender wrote a part of `file` alone: it does not always say so."""
+        end = _ENDS.get(file.suffix.lower(), b"")
+        with open(file, "rb") as written:
+            size = written.seek(0, os.SEEK_END)
+            written.seek(max(0, size - len(end)))
+            is_whole = size > 0 and (not end or written.read() == end)
+        if is_whole and not end:  # of a format whose end is not known: a disk that was full still is
+            try:
+                with tempfile.TemporaryFile(dir=self.folder) as probe:
+                    probe.write(bytes(_PROBE_BYTES))
+            except OSError:
+                is_whole = False
+        if not is_whole:
+            raise OutputError(f"{place or self._where / file.name} was not written whole; is the disk full?")
 
 
 def _remove_workshops(where: Path) -> None:

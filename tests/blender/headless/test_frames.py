@@ -141,6 +141,43 @@ def test_a_picture_that_cannot_be_moved_to_its_place_ends_the_frames(blend, tmp_
     assert names(out) == ["p0001.png"]
 
 
+@pytest.mark.parametrize("ending", [".png", ".jpg", ".bmp"])
+@pytest.mark.parametrize("is_empty", [True, False])
+def test_a_picture_that_blender_wrote_in_part_is_an_error(blend, tmp_path, monkeypatch, ending, is_empty):
+    """Blender says nothing of it where the disk is full."""
+    from rendering import workshop
+
+    def deliver(self, place, name=""):
+        if place.name.startswith("p0002"):
+            file = next(self.folder.iterdir())
+            os.truncate(file, 0 if is_empty else file.stat().st_size - 4)
+            if ending == ".bmp":
+                monkeypatch.setattr(workshop, "_PROBE_BYTES", -1)
+        whole(self, place, name)
+
+    whole = workshop.Workshop.deliver
+    monkeypatch.setattr(workshop.Workshop, "deliver", deliver)
+    monkeypatch.setattr(workshop.tempfile, "TemporaryFile", full_from(workshop))
+    out = tmp_path / "out"
+    done = call_script("render.py", blend, "--frames", "1..3", "-o", out / f"p{ending}")
+    assert done.returncode == 1
+    line = done.stderr.splitlines()[-1]
+    assert f"p0002{ending} was not written whole; is the disk full?" in line
+    assert names(out) == [f"p0001{ending}"]
+
+
+def full_from(workshop):
+    """`TemporaryFile` of a disk that is full once `_PROBE_BYTES` is negative."""
+    real = workshop.tempfile.TemporaryFile
+
+    def temporary_file(**options):
+        if workshop._PROBE_BYTES < 0:
+            raise OSError(28, "No space left on device")
+        return real(**options)
+
+    return temporary_file
+
+
 def test_the_error_of_a_frame_names_it(blend, tmp_path):
     bpy.context.scene.camera.data.type = "PERSP"
     camera = bpy.context.scene.camera
