@@ -38,7 +38,8 @@ progress_listeners: list[Callable[[Progress], None]] = []
 
 # Called with each note on a render that is no warning
 note_listeners: list[Callable[[str], None]] = []
-# Asked several times a second whether the render is to end with what is done; for scripts, which get signals
+# Asked several times a second whether the render is to end; for scripts, which get signals. What is done is listened to
+# as a film, but a picture that lacks samples is an error, so that Blender neither saves it nor goes on to other frames
 stop_listeners: list[Callable[[], bool]] = []
 
 # Blender's status line is written at most this often [s]; without a window it is a line on the terminal
@@ -51,10 +52,12 @@ def render_view_layer(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsg
     A report of kind ERROR is what keeps Blender from saving the frame. After an error the other view layers of the
     frame are left alone.
     """
-    if engine.report_of_frame is None:
-        missing.begin_look(depsgraph.scene)
-        engine.report_of_frame = reports.begin(depsgraph.scene.name, depsgraph.scene.frame_current)
     report = engine.report_of_frame
+    # with Persistent Data Blender keeps the engine for other frames, and for other renders
+    if report is None or (report.job, report.frame) != (finals.job, depsgraph.scene.frame_current):
+        missing.begin_look(depsgraph.scene)
+        report = reports.begin(depsgraph.scene.name, depsgraph.scene.frame_current, finals.job)
+        engine.report_of_frame = report
     if report.errors:
         return
     try:
@@ -90,7 +93,9 @@ def _render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph, repo
     for name in view_names(engine, layer_name, depsgraph.scene):
         if name:
             engine.active_view_set(name)
-        _render_view(engine, depsgraph, report, settings, status, View(engine, name))
+        film = _render_view(engine, depsgraph, report, settings, status, View(engine, name))
+        if any(listener() for listener in stop_listeners) and not (film and film.complete):
+            raise KeyboardInterrupt  # Blender would write what there is, and go on to the next frame
         if _is_stopped(engine):
             return
 
@@ -106,7 +111,8 @@ def _render_view(
     settings: RenderSettings,
     status: _Status,
     view: View,
-) -> None:
+) -> Film | None:
+    """The film of `view`, which the result shows; None where the render ended before there was one."""
     denoiser = library_for(settings)  # an error about it comes before the render
     layer_name = depsgraph.view_layer.name
     parts = Parts("export")
@@ -114,7 +120,7 @@ def _render_view(
     begin_frame(finals.job)
     scene = export_scene(depsgraph, cancelled=lambda: _is_stopped(engine), view=view)
     if scene is None:
-        return
+        return None
     report.export_seconds = parts.elapsed
     scene = with_guides(with_light_looked_for(scene), settings)
     found = missing.keep_found(depsgraph.scene, layer_name, scene.warnings)
@@ -128,7 +134,7 @@ def _render_view(
         tried = tuning.run_tuning(scene, settings, engine.test_break, status.show)
         if tried is not None:
             ResultWriter(engine, layer_name, scene.frame.region[:2], view.name).write(whole_tile(tried))
-        return
+        return None
     writer = ResultWriter(engine, layer_name, scene.frame.region[:2], view.name, exposure_of(depsgraph.scene))
 
     def on_progress(progress: Progress) -> None:
@@ -158,7 +164,7 @@ def _render_view(
         with session_for(settings, is_stopped) as session:
             if session is None:
                 state = records.CANCELLED
-                return
+                return None
             film = session.render(
                 scene,
                 settings,
@@ -194,6 +200,7 @@ def _render_view(
         film.statistics["frame"] = {**film.statistics.get("frame", {}), "view": view.name}
     for film_listener in film_listeners:
         film_listener(layer_name, scene, film)
+    return film
 
 
 def wants_recording(scene: bpy.types.Scene, settings: RenderSettings, has_windows: bool) -> bool:

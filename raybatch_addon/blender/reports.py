@@ -13,6 +13,7 @@ class RenderReport:
     scene: str
     frame: int
     _: KW_ONLY
+    job: int = 0  # number of Blender's render that it belongs to
     errors: list[str] = field(default_factory=list)  # the render failed
     interrupted: bool = False  # by Ctrl-C
     refused: bool = False  # it would have lacked what it may not lack
@@ -24,10 +25,10 @@ class RenderReport:
 _last: RenderReport | None = None
 
 
-def begin(scene: str, frame: int) -> RenderReport:
+def begin(scene: str, frame: int, job: int = 0) -> RenderReport:
     """Start the report of a new frame; it is the last one from now on."""
     global _last
-    _last = RenderReport(scene, frame)
+    _last = RenderReport(scene, frame, job=job)
     return _last
 
 

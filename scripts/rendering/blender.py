@@ -3,24 +3,13 @@
 from __future__ import annotations
 
 import os
-import shutil
-import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import bpy
 from lib.command import RefusedError, UsageError
-from lib.output import (
-    OutputError,
-    OutputFolders,
-    described,
-    numbered,
-    print_notes,
-    print_saved,
-    print_warnings,
-    write_film,
-    write_json,
-)
+from lib.output import OutputFolders, described, numbered, print_notes, print_warnings, write_json
 
 import raybatch_addon
 from raybatch_addon.blender import checkpoints, reports
@@ -40,11 +29,12 @@ from raybatch_addon.export.passes import (
 )
 from raybatch_addon.export.settings import assign_setting, settings_from
 from raybatch_addon.export.taken_over.take import take_over
+from rendering.deliveries import FrameDeliveries, FrameFiles
 from rendering.imported import import_geometry
-from rendering.pictures import write_heat_map
 from rendering.progress import ProgressBar
 from rendering.request import BLEND, Request
 from rendering.stops import StopRequests
+from rendering.workshop import Workshop
 
 # Blender's formats by the extension that chooses them; the first one listed is taken
 FORMATS = {
@@ -62,7 +52,7 @@ FORMATS = {
 }
 
 
-_WORKSHOP = ".raybatch-"  # begins the names of folders for half-written files; the process follows
+FRAME_FIRST = 0  # the first that Blender lets an animation have
 
 
 class _SceneSaved(RayBatchError):
@@ -79,6 +69,7 @@ class BlenderRender:
         self._scene_saved = False
         self._shown: set[str] = set()  # messages about the exported scene
         self._stops = StopRequests()
+        self._is_failed: Callable[[], bool] = lambda: False  # a frame could not be written
 
     def run(self) -> None:
         """Open, render and write what was asked for; raises `RayBatchError`."""
@@ -106,6 +97,10 @@ class BlenderRender:
         except KeyboardInterrupt:
             self._report()
             raise
+        except RayBatchError:
+            if self._statistics:  # of pictures before the one that failed
+                self._report()
+            raise
         finally:
             self._bar.close()
             checkpoints.asked = None
@@ -123,8 +118,11 @@ class BlenderRender:
         frame.progress_listeners.append(self._bar.show)
         frame.scene_listeners.append(self._on_scene)
         frame.film_listeners.append(self._on_film)
-        frame.stop_listeners.append(self._stops.asked)
+        frame.stop_listeners.append(self._is_stopped)
         frame.note_listeners.append(lambda text: print_notes([text]))
+
+    def _is_stopped(self) -> bool:
+        return self._stops.asked() or self._is_failed()
 
     def _on_scene(self, _layer: str, exported: Scene, settings: RenderSettings) -> None:
         print_warnings(exported.warnings)
@@ -149,28 +147,32 @@ class BlenderRender:
         if request.out and (file_format := _picture_format(request.out)):
             _set_format(scene, file_format)
         places = [_still_path(scene, request.out, number, many) if request.out else None for number in frames]
-        films = [numbered(request.film, number, many) if request.film else None for number in frames]
-        kept = [numbered(request.checkpoint, number, many) if request.checkpoint else None for number in frames]
-        heat_maps = [[(name, numbered(path, number, many)) for name, path in request.heat_maps] for number in frames]
-        every = (*places, *films, *kept, *(path for each in heat_maps for _, path in each))
-        for path in {path.parent: path for path in every if path is not None}.values():
+        files = [FrameFiles.of(request, number, many, place) for number, place in zip(frames, places, strict=True)]
+        for path in {path.parent: path for each in files for path in each.paths}.values():
             self._folders.prepare(path)
-        for number, place, film_path, kept_path, pictures in zip(frames, places, films, kept, heat_maps, strict=True):
-            self._bar.label = f"frame {number}: " if many else ""
+        if not request.out:
+            _set_format(scene, FORMATS[".bmp"])  # of pictures that nobody keeps
+        with FrameDeliveries(request, files, self._bar, self._films) as deliveries:
+            self._is_failed = lambda: deliveries.failure is not None
+            scene.render.filepath = deliveries.output
+            try:
+                self._render_frames(scene, frames)
+            except KeyboardInterrupt:
+                if deliveries.failure is None and not deliveries.are_complete:
+                    raise
+            if deliveries.failure is not None:
+                raise deliveries.failure
+
+    def _render_frames(self, scene: bpy.types.Scene, frames: tuple[int, ...]) -> None:
+        if len(frames) > 1 and frames[0] >= FRAME_FIRST:
+            # as one animation: Blender evaluates each frame once, and only what changed is read again
+            scene.render.use_persistent_data = True
+            scene.frame_start, scene.frame_end, scene.frame_step = frames[0], frames[-1], 1
+            self._operate(animation=True)
+            return
+        for number in frames:
             scene.frame_set(number)
-            self._films.clear()
-            checkpoints.asked = AskedCheckpoint(kept_path, request.checkpoint_interval, request.sample_first)
-            if place is None:
-                self._operate()
-            else:
-                with _Workshop(place.parent) as workshop:
-                    scene.render.filepath = str(workshop.folder / place.name)
-                    self._operate(write_still=True)
-                    workshop.deliver(place)
-            if film_path is not None:
-                write_film(film_path, self._films)
-            for name, path in pictures:
-                write_heat_map(path, self._films[0][1], name)
+            self._operate(write_still=bool(self._request.out))
 
     def _render_movie(self, scene: bpy.types.Scene, out: Path, frames: tuple[int, ...]) -> None:
         if self._request.film or self._request.heat_maps or self._request.checkpoint:
@@ -178,7 +180,7 @@ class BlenderRender:
         self._folders.prepare(out)
         checkpoints.asked = AskedCheckpoint(None, sample_first=self._request.sample_first)
         scene.frame_start, scene.frame_end, scene.frame_step = frames[0], frames[-1], 1
-        with _Workshop(out.parent) as workshop:
+        with Workshop(out.parent) as workshop:
             scene.render.filepath = str(workshop.folder / out.name)
             self._operate(animation=True)
             workshop.deliver(None)
@@ -188,7 +190,7 @@ class BlenderRender:
         before = reports.last()
         try:
             bpy.ops.render.render(**how)
-            if self._stops.asked():
+            if self._is_stopped():
                 raise KeyboardInterrupt
         except RuntimeError as error:
             report = reports.last()
@@ -198,51 +200,11 @@ class BlenderRender:
             if self._scene_saved and not self._request.renders:
                 return
             kind = RefusedError if report is not None and report is not before and report.refused else SceneError
-            raise kind(reported[0] if reported else _one_line(error)) from None
+            raise kind(f"{self._bar.label}{reported[0] if reported else _one_line(error)}") from None
         if (report := reports.last()) is not None and report is not before and report.errors and not self._scene_saved:
             if report.interrupted:
                 raise KeyboardInterrupt
-            raise (RefusedError if report.refused else SceneError)(report.errors[0])
-
-
-class _Workshop:
-    """A folder beside the results, where Blender may leave half-written files; gone at the end."""
-
-    def __init__(self, where: Path) -> None:
-        self._where = where
-
-    def __enter__(self) -> _Workshop:
-        _remove_workshops(self._where)
-        self.folder = Path(tempfile.mkdtemp(prefix=f"{_WORKSHOP}{os.getpid()}-", dir=self._where))
-        return self
-
-    def __exit__(self, *_) -> None:
-        shutil.rmtree(self.folder, ignore_errors=True)
-
-    def deliver(self, place: Path | None) -> None:
-        """Move what Blender wrote to its place: a single file to `place`, several (stereo) under the names they
-        have.
-        """
-        made = sorted(self.folder.iterdir())
-        if not made:
-            raise OutputError(f"Blender wrote no picture to {place or self._where}; is the disk full?")
-        for file in made:
-            target = place if place is not None and len(made) == 1 else self._where / file.name
-            os.replace(file, target)
-            print_saved(target)
-
-
-def _remove_workshops(where: Path) -> None:
-    """Remove what processes left that were killed; where the system cannot tell whether one is alive, it stays."""
-    for folder in where.glob(f"{_WORKSHOP}*-*"):
-        process = folder.name.removeprefix(_WORKSHOP).partition("-")[0]
-        if process.isdecimal() and os.name == "posix":
-            try:
-                os.kill(int(process), 0)  # sends nothing
-            except ProcessLookupError:
-                shutil.rmtree(folder, ignore_errors=True)
-            except OSError:  # it is another user's
-                continue
+            raise (RefusedError if report.refused else SceneError)(f"{self._bar.label}{report.errors[0]}")
 
 
 def _open(request: Request) -> None:

@@ -148,14 +148,15 @@ def _alias(pinned: wp.array, device: wp.Device) -> wp.array:
     )
 
 
-def update_geometry(geometry: Geometry, flat: FlatGeometry, scene: Scene) -> None:
-    """Make `geometry` hold `flat`, which has the same triangles and meshes.
+def update_geometry(geometry: Geometry, flat: FlatGeometry, scene: Scene, cut_anew: bool = False) -> None:
+    """Make `geometry` hold `flat`, which has the same meshes with as many triangles; these are others if `cut_anew`.
 
     Arrays of the same size are overwritten.
     """
     device = geometry.triangles.device
     moving = [("instance_mesh", flat.instance_mesh, int)] if flat.motion else []
-    for name, values, dtype in _what_moves(flat, scene) + moving:
+    triangles = [("triangles", flat.triangles, wp.vec3i)] if cut_anew else []
+    for name, values, dtype in _what_moves(flat, scene) + moving + triangles:
         array = getattr(geometry, name)
         if array.size == len(values):
             wp.copy(array, wp.array(values, dtype=dtype, device="cpu", copy=False))

@@ -4,7 +4,6 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -42,6 +41,10 @@ def path(kept, tmp_path):
 def render() -> dict:
     """The statistics of the first view layer."""
     bpy.ops.render.render()
+    return statistics()
+
+
+def statistics() -> dict:
     return next(iter(reports.last().statistics.values()))
 
 
@@ -56,7 +59,10 @@ def render_stopped(monkeypatch, looks: int = 100) -> dict:
     with monkeypatch.context() as patch:
         patch.setattr(rendering, "POLL_SECONDS", 0.001)
         patch.setattr(frame, "stop_listeners", [is_asked])
-        return render()
+        with pytest.raises(RuntimeError, match="stopped from the keyboard"):
+            render()
+    assert reports.last().interrupted
+    return statistics()
 
 
 def pixels() -> np.ndarray:
@@ -173,9 +179,10 @@ def test_a_command_that_is_stopped_between_frames_reports_those_that_are_done(ke
     monkeypatch.setattr(frame, "film_listeners", [lambda *_: done_frames.append(1)])
     out = tmp_path / "pictures" / "p.png"
     done = call_script("render.py", blend, "--frames", "1..4", "-o", out, "--device", "cpu", "--json", report)
-    assert done.returncode == 130 and Path(out.parent / "p0001.png").exists()
+    assert done.returncode == 130
+    assert sorted(each.name for each in out.parent.iterdir()) == ["p0001.png", "p0002.png"]
     reported = json.loads(report.read_text())
-    assert len(reported) == 2 and reported[0]["complete"] and not (out.parent / "p0003.png").exists()
+    assert len(reported) == 2 and all(each["complete"] for each in reported)
 
 
 def test_folders_of_commands_that_were_killed_are_removed(kept, tmp_path):

@@ -6,6 +6,7 @@ QUANTISED; meshes with spatial splits are built by the CPU and uploaded.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -20,7 +21,8 @@ from .collapse import collapse_mesh
 from .cpu.build import build_binary
 from .cuda.build import DeviceMesh, build_mesh
 from .encode import as_vectors, empty_vectors
-from .refit import NodeLevels, node_levels, refit_boxes, refit_quantised
+from .refit import NodeLevels, RefitResult, node_levels, refit_boxes, refit_quantised
+from .refit_part import WholeBoxes, is_part, refit_part
 from .segments import place_primitives, stand_ins
 
 # A refitted tree is built anew when it costs rays so many times what it did when it was built (Wald, Boulos and Shirley
@@ -78,6 +80,7 @@ class MeshTree:
     level_first: list[int] | None  # as `NodeLevels.first`, of nodes that lie level by level
     step_units: int = 0  # blocks of one step of vertices that move, in `triangles` step behind step; 0: they do not
     levels: NodeLevels | None = None  # of QUANTISED, from the first refit on
+    whole: WholeBoxes | None = None  # of BOXES, once a part of its triangles moved
 
 
 class MeshTrees:
@@ -209,12 +212,13 @@ class MeshTrees:
         place_primitives(made.triangles, self.layout, positions, triangles[part.span])
         return made
 
-    def refit(self, mesh: MeshTree) -> bool:
+    def refit(self, mesh: MeshTree, moved: Sequence[tuple[int, int]] | None = None) -> bool:
         """Fit `mesh` in place to the frame's positions; False when it has become so bad that it should be built anew.
 
         Parts of triangles that were split for the old positions are lost, so such a tree must cost no more than it did.
         Boxes are joined of what stands in for segments of curves, which come into their places behind. Trees over
-        vertices that move while the shutter is open are built anew.
+        vertices that move while the shutter is open are built anew. `moved`: first and count of the triangles that
+        moved, among the tree's; None: maybe all.
         """
         if mesh.step_units:
             return False
@@ -225,11 +229,31 @@ class MeshTrees:
             mesh.levels = mesh.levels or self._levels(mesh)
             result = refit_quantised(mesh.nodes, mesh.triangles, mesh.levels, positions, triangles)
         else:
-            result = refit_boxes(mesh.nodes, mesh.triangles, positions, triangles)
+            result = self._refit_boxes(mesh, positions, triangles, None if boxed else moved)
         if boxed:
             place_primitives(mesh.triangles, self.layout, *own)
         mesh.centre, mesh.box, mesh.sah, mesh.splits = result.centre, result.box, result.sah, False
         return result.sah <= mesh.sah_built * (1.0 if mesh.split else SAH_GROWTH_MAX)
+
+    def _refit_boxes(
+        self, mesh: MeshTree, positions: wp.array, triangles: wp.array, moved: Sequence[tuple[int, int]] | None
+    ) -> RefitResult:
+        """Refit a tree of BOXES: what is above triangles that moved, once its boxes are known."""
+        nodes, groups = (
+            array.numpy().reshape(-1, words)
+            for array, words in ((mesh.nodes, self.layout.node_words), (mesh.triangles, self.layout.triangle_words))
+        )
+        whole, mesh.whole = mesh.whole, None
+        if moved is not None and whole is not None:
+            vertices = positions.numpy(), triangles.numpy()
+            result = refit_part(nodes, groups, mesh.centre, whole, moved, *vertices)
+            if result is not None:
+                mesh.whole = whole
+                return result
+        result = refit_boxes(mesh.nodes, mesh.triangles, positions, triangles)
+        if moved is not None and is_part(moved, mesh.part.triangle_count):
+            mesh.whole = WholeBoxes.of(result.boxes, result.costs, nodes, len(groups))
+        return result
 
     def _uploaded(self, boxed: tuple[np.ndarray, np.ndarray]) -> tuple[wp.array, wp.array]:
         """Positions and triangles of stand-ins where the tree is."""

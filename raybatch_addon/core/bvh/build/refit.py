@@ -13,7 +13,7 @@ is below it) makes levels needless.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import warp as wp
@@ -40,6 +40,10 @@ class RefitResult:
     centre: np.ndarray  # float32, shape [3]
     box: np.ndarray  # float32, shape [2, 3], absolute
     sah: float  # as `WideTree.sah`
+    # of BOXES, where the whole was refitted: boxes of whole triangles below each node, float32, shape [node_count, 6],
+    # absolute; and each node's part of `sah`, float64, shape [node_count]
+    boxes: np.ndarray | None = None
+    costs: np.ndarray | None = None
 
 
 @wp.struct
@@ -182,7 +186,7 @@ def refit_boxes(
         wp.launch(place_groups_kernel, dim=work.unit_count, inputs=[placed, at, triangles], device="cpu")
     wp.launch(join_boxes_kernel, dim=1, inputs=[work], device="cpu")
     wp.launch(write_boxes_kernel, dim=work.node_count, inputs=[work], device="cpu")
-    return _result(work)
+    return replace(_result(work), boxes=work.boxes.numpy().reshape(-1, 6).copy(), costs=work.cost.numpy().copy())
 
 
 def _steps(positions: wp.array | Sequence[wp.array]) -> Sequence[wp.array]:

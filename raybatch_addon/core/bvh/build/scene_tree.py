@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -133,16 +133,20 @@ def refit_moved(
     flat: FlatGeometry,
     geometry: Geometry,
     visibility: np.ndarray,
-    moved: Sequence[int],
+    moved: Mapping[int, Sequence[tuple[int, int]]],
     device: wp.Device,
 ) -> bool:
     """Refit like `refit_scene_tree`, for triangles alone, whose arrays `flat` may lack; False where a tree should be
     built anew, after which `built` is of no frame.
+
+    `moved`: by mesh tree, first and count of the triangles that moved, among those of the scene.
     """
     start = time.perf_counter()
     trees = MeshTrees(flat, geometry, device, built.layout, built.splits_moving)
-    if not all(trees.refit(built.meshes[i]) for i in moved):
-        return False
+    for i, spans in moved.items():
+        mesh = built.meshes[i]
+        if not trees.refit(mesh, [(first - mesh.part.triangle_first, count) for first, count in spans]):
+            return False
     _assemble(built, flat, entries_of(flat, visibility), device, fresh=False)
     built.note(0, len(moved), start)
     return True

@@ -16,8 +16,9 @@ from ...scene.flatten import FlatGeometry
 class Fingerprint:
     """Digests of a frame: what is equal was equal."""
 
-    # triangles, what instances place, visibility, settings: a tree can follow only where it is the same
+    # counts of triangles, what instances place, visibility, settings: a tree can follow only where it is the same
     topology: bytes
+    triangles: tuple[bytes, ...]  # of each mesh tree: their vertices, which change where quads that bend are cut anew
     positions: tuple[bytes, ...]  # of each mesh tree; empty where they are others since
     transforms: bytes  # of instances that are not baked; likewise
     surface: bytes  # normals and materials, which trees do not know
@@ -27,7 +28,6 @@ class Fingerprint:
         """The fingerprint of a frame; `kind` are the choices that its tree depends on."""
         merged = [array for group in flat.merged for array in (group.instance, group.instance_triangle_first)]
         topology = [
-            flat.triangles,
             flat.mesh_triangle_first,
             flat.mesh_vertex_first,
             flat.instance_mesh,
@@ -40,11 +40,14 @@ class Fingerprint:
         # a tree does not follow vertices that move in a frame
         steps = flat.motion.steps.values() if flat.motion else ()
         topology += [array for each in steps for array in each if array is not None]
-        parts = [flat.positions[part.vertex_first : part.vertex_first + part.vertex_count] for part in mesh_parts(flat)]
+        topology += [flat.triangles] if flat.curves or flat.motion else []  # as its segments and steps are
+        parts = mesh_parts(flat)
+        positions = [flat.positions[part.vertex_first : part.vertex_first + part.vertex_count] for part in parts]
         surface = [flat.corner_normals, flat.triangle_slot, scene.instances.slot_first, scene.slot_materials]
         return Fingerprint(
             digest_of(topology),
-            tuple(digest_of([part]) for part in parts),
+            tuple(digest_of([flat.triangles[part.span]]) for part in parts),
+            tuple(digest_of([each]) for each in positions),
             digest_of([flat.instance_transform, *moving]),
             digest_of(surface),
         )

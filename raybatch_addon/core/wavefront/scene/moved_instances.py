@@ -85,9 +85,20 @@ def follow_moved(
     transform[is_baked] = IDENTITY
     _overwrite(geometry.instance_transform, 0, transform, mat34)
     flat = replace(flat, instance_transform=transform)
-    trees = [i for i, group in enumerate(flat.merged) if np.isin(moving, group.instance).any()]
+    trees = {
+        i: _triangles(flat, found)
+        for i, each in enumerate(flat.merged)
+        if len(found := moving[np.isin(moving, each.instance)])
+    }
     followed = refit_moved(built, flat, geometry, instances.visibility, trees, device)
-    return replace(placed, flat=flat, transform=now) if followed else None, trees
+    return replace(placed, flat=flat, transform=now) if followed else None, list(trees)
+
+
+def _triangles(flat: FlatGeometry, instances: np.ndarray) -> list[tuple[int, int]]:
+    """First and count of the triangles of each of `instances`."""
+    meshes = flat.instance_mesh[instances]
+    first, end = flat.mesh_triangle_first[meshes], flat.mesh_triangle_first[meshes + 1]
+    return list(zip(first.tolist(), (end - first).tolist(), strict=True))
 
 
 def _mirrors(maps: np.ndarray) -> np.ndarray:

@@ -211,13 +211,15 @@ class SceneCache:
             with self._lock:
                 # nothing is kept until the new one is whole: not what an error left half done, nor two of them
                 last, self._last = self._last, None
+                if last is not None and fingerprint.triangles != last.fingerprint.triangles:
+                    self.inputs.clear()  # of triangles that are there no more
                 if (
                     last is None
                     or not _serves(last.built, request.plan)
                     or not _follow(last, fingerprint, flat, scene, device)
                 ):
                     del last
-                    self.inputs.clear()  # of triangles that are there no more
+                    self.inputs.clear()
                     if whole:
                         check_memory(size, request.layout, device, all_of_it=False)
                     last = _build(fingerprint, flat, scene, request, device)
@@ -314,10 +316,10 @@ def _follow(last: Kept, fingerprint: Fingerprint, flat: FlatGeometry, scene: Sce
     if fingerprint != before:
         if not own or fingerprint.topology != before.topology:
             return False
-        update_geometry(last.geometry, with_motion(flat), scene)
-        moved = [
-            i for i, (old, new) in enumerate(zip(before.positions, fingerprint.positions, strict=True)) if old != new
-        ]
+        update_geometry(last.geometry, with_motion(flat), scene, fingerprint.triangles != before.triangles)
+        was = zip(before.triangles, before.positions, strict=True)
+        now = zip(fingerprint.triangles, fingerprint.positions, strict=True)
+        moved = [i for i, (old, new) in enumerate(zip(was, now, strict=True)) if old != new]
         if moved or fingerprint.transforms != before.transforms:
             last.treelets = last.cut = None  # copies of what is changed now
             refit_scene_tree(last.built, flat, last.geometry, scene.instances.visibility, moved, device)

@@ -1,0 +1,126 @@
+"""What becomes of each frame that Blender has rendered: its picture goes to its place, films and heat maps are written
+while the next frame is rendered.
+"""
+
+from __future__ import annotations
+
+import functools
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+from lib.output import numbered, write_film
+from lib.writer import BackgroundWriter
+
+from raybatch_addon.blender import checkpoints
+from raybatch_addon.blender.checkpoints import AskedCheckpoint
+from raybatch_addon.core.errors import RayBatchError
+from raybatch_addon.core.film import Film
+from rendering.pictures import write_heat_map
+from rendering.progress import ProgressBar
+from rendering.request import Request
+from rendering.workshop import Workshop
+
+# Blender's name of a picture in the workshop: this and the frame's number, then what is its own (an eye of stereoscopy,
+# the extension)
+_NAME, _DIGITS = "frame", "######"
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameFiles:
+    """Where the files of a frame go; None where none is wanted."""
+
+    number: int
+    label: str  # of its progress and errors
+    picture: Path | None
+    film: Path | None
+    checkpoint: Path | None
+    heat_maps: tuple[tuple[str, Path], ...]  # pass and file
+
+    @staticmethod
+    def of(request: Request, number: int, many: bool, picture: Path | None) -> FrameFiles:
+        """The files of frame `number`, which is one of `many`."""
+        return FrameFiles(
+            number=number,
+            label=f"frame {number}: " if many else "",
+            picture=picture,
+            film=numbered(request.film, number, many) if request.film else None,
+            checkpoint=numbered(request.checkpoint, number, many) if request.checkpoint else None,
+            heat_maps=tuple((name, numbered(path, number, many)) for name, path in request.heat_maps),
+        )
+
+    @property
+    def paths(self) -> list[Path]:
+        """All of them."""
+        every = (self.picture, self.film, self.checkpoint, *(path for _, path in self.heat_maps))
+        return [path for path in every if path is not None]
+
+
+class FrameDeliveries:
+    """Follows Blender from frame to frame: inside, each that it begins and ends is heard of, and `films` of its view
+    layers are those of one frame.
+
+    Blender goes on where what it calls fails, so that an error is kept: `failure`. At the end all files are written;
+    raises `OutputError` for one that could not be, unless there was an error before.
+    """
+
+    def __init__(
+        self, request: Request, files: Sequence[FrameFiles], bar: ProgressBar, films: list[tuple[str, Film]]
+    ) -> None:
+        self._request, self._bar, self._films = request, bar, films
+        self._by_number = {each.number: each for each in files}
+        self._picture = files[0].picture
+        self._delivered = 0
+        self._writer = BackgroundWriter()
+        self.failure: RayBatchError | None = None
+
+    def __enter__(self) -> FrameDeliveries:
+        self._workshop = Workshop(self._picture.parent if self._picture else Path(tempfile.gettempdir()))
+        self._workshop.__enter__()
+        bpy.app.handlers.render_pre.append(self._begin)
+        bpy.app.handlers.render_post.append(self._end)
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        bpy.app.handlers.render_pre.remove(self._begin)
+        bpy.app.handlers.render_post.remove(self._end)
+        self._workshop.__exit__()
+        error = self._writer.close()
+        if error is not None and (kind is None or issubclass(kind, KeyboardInterrupt)):
+            raise error
+
+    @property
+    def output(self) -> str:
+        """What is to be Blender's output path meanwhile."""
+        return str(self._workshop.folder / f"{_NAME}{_DIGITS}")
+
+    @property
+    def are_complete(self) -> bool:
+        """Whether all frames have been rendered and handed on."""
+        return self._delivered == len(self._by_number)
+
+    def _begin(self, scene: bpy.types.Scene, *_: object) -> None:
+        """Blender begins a frame."""
+        files = self._by_number[scene.frame_current]
+        self._bar.label = files.label
+        self._films.clear()
+        request = self._request
+        checkpoints.asked = AskedCheckpoint(files.checkpoint, request.checkpoint_interval, request.sample_first)
+
+    def _end(self, scene: bpy.types.Scene, *_: object) -> None:
+        """Blender has rendered and written a frame."""
+        files = self._by_number[scene.frame_current]
+        try:
+            if files.picture is not None:
+                self._workshop.deliver(files.picture, _NAME)
+            if files.film is not None:
+                self._writer.write(functools.partial(write_film, files.film, list(self._films)))
+            for name, path in files.heat_maps:
+                self._writer.write(functools.partial(write_heat_map, path, self._films[0][1], name))
+            self._delivered += 1
+        except RayBatchError as error:
+            self.failure = error
+        except OSError as error:
+            self.failure = RayBatchError(f"{files.label}{error}")
