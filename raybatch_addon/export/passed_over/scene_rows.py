@@ -50,6 +50,13 @@ def _glass(scene: bpy.types.Scene, _layer: bpy.types.ViewLayer) -> bool:
     return bool(own and scene.render.film_transparent and own.film_transparent_glass)
 
 
+def _biased(scene: bpy.types.Scene, _layer: bpy.types.ViewLayer) -> str:
+    own = _cycles(scene)
+    if not getattr(own, "volume_biased", False):  # Cycles before 5.0 has no other way, and no such property
+        return ""
+    return unlike_new(own, "volume_biased", "volume_step_rate", "volume_max_steps")
+
+
 def _simplified(scene: bpy.types.Scene, _layer: bpy.types.ViewLayer) -> str:
     if not scene.render.use_simplify:
         return ""
@@ -99,6 +106,12 @@ SCENE_ROWS = (
         lambda scene, _layer: getattr(_cycles(scene), "use_fast_gi", False),
         Weight.REPLACED,
         "turn off Fast GI Approximation in Cycles' light path settings",
+    ),
+    Row(
+        "Cycles would render volumes in steps; here they are rendered without bias, and these are not heard: {found}",
+        _biased,
+        Weight.SETTING,
+        "turn off Biased in Cycles' volume settings",
     ),
     Row("these settings of Simplify are not supported: {found}", _simplified, Weight.REPLACED, "turn off Simplify"),
     Row(

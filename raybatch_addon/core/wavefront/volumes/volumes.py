@@ -37,13 +37,14 @@ class VolumeKernels:
         if not features.volumes:
             return None
         needs = narrow(shading, VolumeFeatures)
+        varies = may_vary(features.volume_program)
         reads = "volume_attribute" in features.volume_program.ops
         return VolumeKernels(
             enter_kernel,
             volume_kernel(needs, out_of_line),
             cross_kernel(needs.instancing, needs.smooth_normals, needs.curves, needs.moving),
             transmit_kernel(needs, out_of_line),
-            bound_kernel(needs) if may_vary(features.volume_program) else None,
+            bound_kernel(needs) if varies or (needs.volume_lights and features.volume_program) else None,
             store_numbers if reads else None,
             store_vectors if reads else None,
         )
