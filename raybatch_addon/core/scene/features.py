@@ -317,12 +317,17 @@ def scene_volumes(scene: Scene) -> list[Volume]:
     return [volume for volume in (*of_materials, scene.world.volume) if volume is not None]
 
 
-def is_emissive(volume: Volume) -> bool:
-    """Whether points of `volume` may be aimed at for their light: it emits, the same for all kinds of rays."""
+def emits_somewhere(volume: Volume) -> bool:
+    """Whether `volume` may emit."""
     if volume.program is None:
         return any(closure.kind == ClosureKind.EMISSION for closure in volume.closures)
-    ops = {step.op for step in volume.program.instructions}
-    return "emission" in ops and _OPS_OF_WAYS.isdisjoint(ops)
+    return any(step.op == "emission" for step in volume.program.instructions)
+
+
+def is_emissive(volume: Volume) -> bool:
+    """Whether points of `volume` may be aimed at for their light: it emits, the same for all kinds of rays."""
+    steps = () if volume.program is None else volume.program.instructions
+    return emits_somewhere(volume) and _OPS_OF_WAYS.isdisjoint(step.op for step in steps)
 
 
 def _has_volume_lights(scene: Scene) -> bool:

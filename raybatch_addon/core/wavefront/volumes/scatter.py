@@ -188,7 +188,7 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
             v.dimension = dimension + wp.uint32(wp.static(LIGHTS))
             seeks = bool(False)
             if wp.static(features.shadow_rays):
-                seeks = scatters and is_aimed(data.lights, limits, v)
+                seeks = scatters and volumes.scatters != 0 and is_aimed(data.lights, limits, v)
             way = Track()
             far = wp.min(length, wp.static(FARTHEST))
             sought = Sought()

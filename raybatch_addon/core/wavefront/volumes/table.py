@@ -57,6 +57,7 @@ class EmissionGrid:
 class VolumeLights:
     """Volumes as emitters, by cells; no entries where none is."""
 
+    emits: wp.array(dtype=int)  # of each volume: 1: it may emit, whether it is an emitter or not
     of: wp.array(dtype=int)  # entry in `grids` of each code of `MediaState.inside`, less 1; -1: it is no emitter
     grids: wp.array(dtype=EmissionGrid)
     emitters: wp.array(dtype=int)  # emitter of each cell; -1: none
@@ -92,6 +93,7 @@ class VolumeData:
     closures: wp.array(dtype=ClosureRecord)
     nodes: NodeData  # programs of volumes; `program_first` by volume
     varies: int  # 1: a program may give other coefficients at other points of an object
+    scatters: int  # 0: no light is looked for along rays, as none of the volumes scatters
     density_scale: wp.array(dtype=float)  # of each instance: factor of all coefficients; empty: 1
     bounds_of: wp.array(dtype=int)  # entry in `grids`, by instance * volume_count + volume; -1: there is no program
     world_bounds: int

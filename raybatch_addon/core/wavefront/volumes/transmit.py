@@ -19,11 +19,11 @@ from ..stages.generate import pixel_sample
 from ..stages.limits import PathLimits
 from ..stages.work import TileWork
 from .cross import behind_surface
-from .emission.weigh import make_emission
+from .emission.weigh import emitting_code, make_emission
 from .features import VolumeFeatures
 from .scatter import SEGMENTS_MOST
 from .segment import make_passed, ray_point
-from .table import VolumeData, holds, is_empty
+from .table import VolumeData, is_empty
 
 # Pieces of a shadow ray that have random numbers of their own
 _PIECES = 1 << 10
@@ -78,7 +78,7 @@ def make_transmit(features: VolumeFeatures) -> wp.Function:
                     # it has come to the point that it was aimed at, which is in the volume or not
                     code = volumes.lights.codes[cell - volumes.lights.first]
                     shines = wp.vec3(0.0)
-                    if holds(inside, code):
+                    if emitting_code(volumes, inside) == code:
                         end = rays.origin[slot] + length * direction
                         kind = int(wp.static(int(Visibility.SHADOW)))
                         bounce = bounce_to_light(paths.status[path])

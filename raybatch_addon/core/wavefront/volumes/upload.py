@@ -10,8 +10,9 @@ import warp as wp
 
 from ...errors import SceneError
 from ...programs.inputs_data import upload_inputs
+from ...programs.op import op_named
 from ...programs.table import store_programs, upload_programs
-from ...scene.description import ClosureKind, Mesh, Scene
+from ...scene.description import ClosureKind, Mesh, Scene, Volume
 from ...scene.features import SceneFeatures, narrow, scene_volumes
 from ...scene.geometry import Geometry
 from ...scene.motion import apart
@@ -28,6 +29,8 @@ from .kernels import launch_bound
 from .medium import WORLD_REACH, may_vary
 from .table import VolumeData
 
+# Ops of closures that scatter nothing
+_UNSCATTERED = ("emission", "volume_absorption")
 # The world's volume is taken to be like this many sizes of the scene around it
 _WORLD_SIZES = 2.0
 
@@ -113,12 +116,19 @@ def upload_volumes(
     enclosures = upload_enclosures(scene, volume_of, data.volume_count, geometry, device)
     data.enclosures = enclosures.data
     data.varies = int(may_vary(features.volume_program))
+    data.scatters = int(not features.volume_lights or any(map(_may_scatter, volumes)))
     ops, asked = features.volume_program.ops, narrow(shading, VolumeFeatures)
     warnings = _bound(data, scene, asked, volume_of, device, ops, cache.bounds)
     if ClosureKind.RAY_PORTAL in features.closures:
         warnings.append("Ray Portal: a ray that comes out of one is in the volumes of the place where it went in")
     cells = _emission(data, scene, asked, volume_of, device, cache.cells) if features.volume_lights else None
     return UploadedVolumes(data, enclosures.kept, grids, stored, warnings, cells)
+
+
+def _may_scatter(volume: Volume) -> bool:
+    made = () if volume.program is None else volume.program.instructions
+    by_program = any(op_named(step.op).makes_closures and step.op not in _UNSCATTERED for step in made)
+    return by_program or any(closure.kind > ClosureKind.VOLUME_ABSORPTION for closure in volume.closures)
 
 
 def _is_boundary(material) -> bool:

@@ -13,9 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from ....device.devices import load_module
 from ....device.kernel import KERNEL_OPTIONS
 from ....scene.description import ClosureKind, Mesh, Scene, Visibility
-from ....scene.features import is_emissive, scene_volumes
+from ....scene.features import emits_somewhere, is_emissive, scene_volumes
 from ....scene.motion import apart
 from ....shading.lights.emitters import EmissiveCells
 from ....shading.sequences.keys import mix_bits, sequence_number
@@ -43,10 +44,12 @@ class FoundCells:
     grids: np.ndarray
     emitters: np.ndarray  # from 0 on
     codes: np.ndarray
+    emits: np.ndarray
 
     def upload(self, first: int, device: wp.Device) -> VolumeLights:
         """The table for kernels; `first`: the first emitter that is a cell."""
         lights = VolumeLights()
+        lights.emits = wp.array(self.emits, dtype=int, device=device)
         lights.of = wp.array(self.of, dtype=int, device=device)
         lights.grids = wp.array(self.grids, dtype=EmissionGrid, device=device)
         shifted = np.where(self.emitters >= 0, self.emitters + first, -1).astype(np.int32)
@@ -91,6 +94,7 @@ def find_cells(
     emits = [is_emissive(volume) for volume in filling]
     if scene.world.volume is not None:
         emits[-1] = False
+    may_emit = np.array([emits_somewhere(volume) for volume in filling], np.int32)
     moves = apart(scene)
     seen = scene.instances.visibility & int(Visibility.ALL) == int(Visibility.ALL)
     bounded = [
@@ -147,7 +151,7 @@ def find_cells(
     if not total:
         return None
     cells = EmissiveCells(*(np.concatenate(values) for values in zip(*parts)))
-    return FoundCells(cells, of, grids, np.concatenate(emitters), np.concatenate(codes))
+    return FoundCells(cells, of, grids, np.concatenate(emitters), np.concatenate(codes), may_emit)
 
 
 def _slots(scene: Scene, each: Bounded, volume_of: np.ndarray) -> np.ndarray:
@@ -169,6 +173,7 @@ def _inside(
         wp.array(np.ascontiguousarray(corners, np.int32).ravel(), dtype=int, device=device),
     )
     found = wp.zeros(count**3, dtype=float, device=device)
+    load_module(inside_kernel, device)
     wp.launch(inside_kernel, count**3, [surface.id, wp.vec3(*low), wp.vec3(*size), count, found], device=device)
     return found.numpy().astype(np.float64)
 

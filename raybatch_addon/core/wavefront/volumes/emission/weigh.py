@@ -1,6 +1,6 @@
 """Light of volumes that scattered rays meet, weighed against the points of cells that are aimed at.
 
-Each volume is an emitter of its own: where several lie in one another, the light of each is weighed by itself.
+Where several volumes lie in one another that may emit, rays alone find their light.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from ....shading.volumes.phase import PhaseLobe
 from ..along import Sought, lit_length
 from ..features import VolumeFeatures
 from ..medium import LOBES_MOST, PHASE_LOBE_FLOATS, Coefficients, make_medium, passes
-from ..table import INSIDE_MOST, VolumeData
+from ..table import INSIDE_MOST, VolumeData, entry
 
 # Points along a piece of a ray at which a medium that is the same everywhere is looked at
 POINTS = 2
@@ -36,6 +36,23 @@ class Seen:
 
     point: LitPoint
     pdf: float  # density of its direction there [1/sr]; 0: light sampling had no part
+
+
+@wp.func
+def emitting_code(volumes: VolumeData, inside: wp.vec4i) -> int:
+    """The code of the volume that alone may emit where a ray is in these, as in `MediaState.inside`; 0: there is none,
+    it is the world's, or there are several, whose light is left to rays.
+    """
+    code = int(0)
+    count = int(0)
+    for place in range(wp.static(INSIDE_MOST + 1)):
+        found = entry(volumes, inside, place)
+        if found[1] >= 0:
+            if volumes.lights.emits[found[1]] != 0:
+                count += 1
+                if found[0] >= 0:
+                    code = 1 + found[0] * volumes.volume_count + found[1]
+    return wp.where(count == 1, code, 0)
 
 
 @wp.func
@@ -78,35 +95,23 @@ def make_weighed(features: VolumeFeatures) -> wp.Function:
     """
     selection_pdf = make_light_choice(narrow(features, ChoiceFeatures)).pdf
     hit_weight = light_weights(features.mis)[1]
-    emission_of = make_emission(features.volume_program)
 
     @wp.func
     def weighed(
         volumes: VolumeData, table: LightTable, seen: Seen, inside: wp.vec4i, point: ShadingPoint, emission: wp.vec3
     ) -> wp.vec3:
-        left = emission
         shines = emission[0] > 0.0 or emission[1] > 0.0 or emission[2] > 0.0
         if not shines or not seen.pdf > 0.0 or volumes.lights.of.shape[0] == 0:
-            return left
+            return emission
+        code = emitting_code(volumes, inside)
+        if code == 0:
+            return emission
+        cell = cell_at(volumes, code, point.position)
+        if cell < 0:
+            return emission
         way = point.position - seen.point.position
-        others = int(0)
-        if volumes.world >= 0:
-            others = int(1)
-        for place in range(wp.static(INSIDE_MOST)):
-            if inside[place] > 0:
-                others += 1
-        for place in range(wp.static(INSIDE_MOST)):
-            code = inside[place]
-            cell = int(-1)
-            if code > 0:
-                cell = cell_at(volumes, code, point.position)
-            if cell >= 0:
-                pdf = cell_pdf(table.lights[cell], wp.dot(way, way)) * selection_pdf(table, seen.point, cell)
-                own = emission
-                if others > 1:
-                    own = emission_of(volumes, code, point)
-                left = left - (1.0 - hit_weight(seen.pdf, pdf)) * own
-        return wp.vec3(wp.max(left[0], 0.0), wp.max(left[1], 0.0), wp.max(left[2], 0.0))
+        pdf = cell_pdf(table.lights[cell], wp.dot(way, way)) * selection_pdf(table, seen.point, cell)
+        return hit_weight(seen.pdf, pdf) * emission
 
     return weighed
 
@@ -133,7 +138,8 @@ def make_weighed_constant(weighed: wp.Function) -> wp.Function:
         shares = wp.vec3(1.0 / 3.0)
         point = begin
         total = wp.vec3(0.0)
-        for k in range(wp.static(POINTS)):
+        k = int(0)
+        while k < wp.static(POINTS):
             along = (float(k) + stream_number(own, wp.uint32(2 * k))) / wp.static(float(POINTS))
             found = lit_length(
                 m.extinction, shares, length, Sought(), wp.vec2(stream_number(own, wp.uint32(2 * k + 1)), along)
@@ -142,6 +148,7 @@ def make_weighed_constant(weighed: wp.Function) -> wp.Function:
                 point.position = begin.position - found[0] * begin.incoming
                 light = weighed(volumes, table, seen, inside, point, m.emission)
                 total += wp.cw_mul(light, passes(m.extinction, found[0])) / found[1]
+            k += 1
         return total / wp.static(float(POINTS))
 
     return weighed_constant
