@@ -39,6 +39,8 @@ SCATTERING = tuple(k for k in ClosureKind if k not in (ClosureKind.EMISSION, Clo
 
 # Ops that ask how a path came to a point
 PATH_HISTORY_OPS = frozenset(("path_history", "portal_depth"))
+# Ops by which a point of a volume may differ with the way that a ray came there
+_OPS_OF_WAYS = PATH_HISTORY_OPS | {"light_path", "ray_length"}
 # Passes that are no features of a scene: that which every film has, and those that counters fill
 _PASSES_OF_OTHERS = ("Combined", *COST_PASSES, SAMPLE_COUNT)
 
@@ -60,6 +62,7 @@ class SceneFeatures:
     mesh_programs: bool = False  # materials emit by a program
     world_light: bool = False  # the world's radiance varies, and is sampled
     light_portals: bool = False  # it is sampled through portals
+    volume_lights: bool = False  # volumes that emit are emitters
     world: bool = False  # rays that leave the scene find light
     camera: CameraKind = CameraKind.PERSPECTIVE
     depth_of_field: bool = False
@@ -109,7 +112,8 @@ class SceneFeatures:
     def shadow_rays(self) -> bool:
         """Whether there are lights to aim at, and the settings ask for it."""
         lit = self.surfaces or self.volumes
-        return self.nee != "OFF" and lit and (bool(self.lights) or self.mesh_lights or self.world_light)
+        emitters = bool(self.lights) or self.mesh_lights or self.world_light or self.volume_lights
+        return self.nee != "OFF" and lit and emitters
 
     @property
     def light_programs(self) -> bool:
@@ -201,6 +205,7 @@ class SceneFeatures:
             "levels of images": self.texture_levels,
             "sampling of the world": self.world_light,
             "portals of the world": self.light_portals,
+            "volumes as lights": self.volume_lights,
             "emission by programs": self.mesh_programs,
             "shadow rays": self.shadow_rays,
             "lights met by rays": self.light_hits,
@@ -252,6 +257,7 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
     # what no ray sees that surfaces or volumes scatter lights nothing
     lights = bool(volumes) or bool(int(world.visibility) & SCATTERED_RAYS)
     world_light = is_sampled and lights and world.program is not None and world.sampling_size > 0
+    volume_lights = is_sampled and surfaces and _has_volume_lights(scene)
     return SceneFeatures(
         closures=tuple(sorted(kinds)),
         closure_count=max((len(material.closures) for material in scene.materials), default=0) if surfaces else 0,
@@ -266,12 +272,15 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
         ),
         light_hits=any(_can_be_met(light) for light in scene.lights),
         light_choice=is_sampled
-        and (ClosureKind.EMISSION in kinds or len(scene.lights) + world_light > 1 or links_lights(scene)),
+        and (
+            ClosureKind.EMISSION in kinds or len(scene.lights) + world_light > 1 or links_lights(scene) or volume_lights
+        ),
         mesh_lights=ClosureKind.EMISSION in kinds,
         mesh_programs=surfaces
         and any(m.program is not None and ClosureKind.EMISSION in m.kinds for m in scene.materials),
         world_light=world_light,
         light_portals=world_light and bool(world.portals),
+        volume_lights=volume_lights,
         world=any(scene.world.radiance) or scene.world.program is not None,
         camera=scene.camera.kind,
         depth_of_field=scene.camera.lens_radius > 0,
@@ -309,6 +318,27 @@ def scene_volumes(scene: Scene) -> list[Volume]:
     """What fills the surfaces of `scene`, in the order of its materials, and last what fills the world."""
     of_materials = [material.volume for material in scene.materials]
     return [volume for volume in (*of_materials, scene.world.volume) if volume is not None]
+
+
+def emits_somewhere(volume: Volume) -> bool:
+    """Whether `volume` may emit."""
+    if volume.program is None:
+        return any(closure.kind == ClosureKind.EMISSION for closure in volume.closures)
+    return any(step.op == "emission" for step in volume.program.instructions)
+
+
+def is_emissive(volume: Volume) -> bool:
+    """Whether points of `volume` may be aimed at for their light: it emits, the same for all kinds of rays."""
+    steps = () if volume.program is None else volume.program.instructions
+    return emits_somewhere(volume) and _OPS_OF_WAYS.isdisjoint(step.op for step in steps)
+
+
+def _has_volume_lights(scene: Scene) -> bool:
+    # where light is linked, counted by groups, or caught, rays alone find that of volumes
+    apart_from_rays = links_lights(scene) or links_shadows(scene) or catchers(scene).any()
+    if apart_from_rays or light_group_passes(scene.frame.passes):
+        return False
+    return any(material.volume is not None and is_emissive(material.volume) for material in scene.materials)
 
 
 def _material_programs(scene: Scene) -> ProgramFeatures:

@@ -199,6 +199,7 @@ _RARE_FEATURES = {
     "light_links": False,
     "shadow_links": False,
     "light_portals": False,
+    "volume_lights": False,
     "catchers": False,
 }
 

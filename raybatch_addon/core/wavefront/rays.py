@@ -88,6 +88,7 @@ class Paths:
     light_program: wp.array(dtype=int)  # WORLD_PROGRAM, SURFACE_PROGRAM, LAMP_PROGRAM; 0: `shadow_light` is all
     light_instance: wp.array(dtype=int)  # of lamps their number
     light_primitive: wp.array(dtype=int)
+    light_cell: wp.array(dtype=int)  # emitter that is a cell of a volume; -1: another; where volumes are emitters
     light_barycentric: wp.array(
         dtype=wp.vec2
     )  # of lamps how far they were when aimed at [m], and how much of that `t_max` lacks
@@ -268,6 +269,7 @@ def needed_arrays(features: SceneFeatures) -> dict[str, bool]:
         "light_instance": features.light_programs,
         "light_primitive": features.light_programs,
         "light_barycentric": features.light_programs,
+        "light_cell": features.volume_lights and shadow_rays,
         "passed": transparency,
         "passed_t": transparency,
         "shadow_t": transparency and shadow_rays and bool(features.programs),

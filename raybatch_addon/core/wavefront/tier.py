@@ -93,6 +93,7 @@ def _general_features(on_gpu: bool) -> SceneFeatures:
         light_links=not on_gpu,
         shadow_links=not on_gpu,
         light_portals=not on_gpu,
+        volume_lights=not on_gpu,
         catchers=not on_gpu,
         volumes=True,
         volume_program=_programs(of_volumes),
@@ -142,6 +143,7 @@ _LINKS = {
     "light_links": "light linking",
     "shadow_links": "light linking",
     "light_portals": "portals of the world",
+    "volume_lights": "volumes as lights",
     "light_groups": "the passes of light groups",
     "catchers": "shadow catchers",
     "film_glass": "films that are transparent through glass",
@@ -155,7 +157,7 @@ def array_features(features: SceneFeatures, shading: SceneFeatures) -> SceneFeat
     if shading == features:
         return features
     closures = tuple(kind for kind in shading.closures if kind != ClosureKind.SUBSURFACE or features.subsurface)
-    names = ("film_transparent", "passes", "filter_glossy", "light_links", "request_program")
+    names = ("film_transparent", "passes", "filter_glossy", "light_links", "volume_lights", "request_program")
     own = {name: getattr(features, name) for name in names}
     ops = tuple(name for name in shading.programs.ops if name not in REQUEST_OPS or name in features.programs.ops)
     programs = dataclasses.replace(shading.programs, ops=ops)

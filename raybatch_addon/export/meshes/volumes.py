@@ -23,6 +23,8 @@ _VALUES_MOST = 1 << 29
 _BLOCK = 64
 # To meet an active voxel takes as long as to read so many
 _VOXELS_PER_STEP = 256
+# Voxels that are so much longer than those of the file are not the file's: Simplify doubles their edges, or more
+_COARSER = 1.5
 # Faces of the box between `CUBE_CORNERS`, seen from outside
 _QUADS = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
 _TRIANGLES = np.concatenate([_QUADS[:, :3], _QUADS[:, [0, 2, 3]]]).astype(np.int32)
@@ -101,12 +103,22 @@ def _read(obj: bpy.types.Object, names: list[str], label: str, warnings: list[st
             if name not in there:
                 continue
             try:
-                yield name, openvdb.read(path, name)
+                read = openvdb.read(path, name)
+                coarse = os.path.join(folder, "coarse.vdb")
+                if _is_coarser(volume.grids[name], read) and volume.grids.save(filepath=coarse):
+                    read = openvdb.read(coarse, name)
+                yield name, read
             except Exception as error:
                 warnings.append(
                     f"{label}: its grid “{name}” cannot be read from “{path}” ({' '.join(str(error).split())}); it "
                     "counts as missing"
                 )
+
+
+def _is_coarser(grid: bpy.types.VolumeGrid, read) -> bool:
+    """Whether Blender has `grid` with larger voxels than its file, of which `read` is: Simplify makes them so."""
+    voxels = np.linalg.norm(np.array(grid.matrix_object)[:3, :3], axis=0)
+    return bool((voxels > _COARSER * np.array(read.transform.voxelSize())).any())
 
 
 def _openvdb():

@@ -53,6 +53,13 @@ def _apart_behind_glass(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> b
     return any(obj.is_shadow_catcher or obj.is_holdout or obj.holdout_get(view_layer=layer) for obj in seen)
 
 
+def _biased(scene: bpy.types.Scene, _layer: bpy.types.ViewLayer) -> str:
+    own = _cycles(scene)
+    if not getattr(own, "volume_biased", False):  # Cycles before 5.0 has no other way, and no such property
+        return ""
+    return unlike_new(own, "volume_biased", "volume_step_rate", "volume_max_steps")
+
+
 def _simplified(scene: bpy.types.Scene, _layer: bpy.types.ViewLayer) -> str:
     if not scene.render.use_simplify:
         return ""
@@ -102,6 +109,12 @@ SCENE_ROWS = (
         lambda scene, _layer: getattr(_cycles(scene), "use_fast_gi", False),
         Weight.REPLACED,
         "turn off Fast GI Approximation in Cycles' light path settings",
+    ),
+    Row(
+        "Cycles would render volumes in steps; here they are rendered without bias, and these are not heard: {found}",
+        _biased,
+        Weight.SETTING,
+        "turn off Biased in Cycles' volume settings",
     ),
     Row("these settings of Simplify are not supported: {found}", _simplified, Weight.REPLACED, "turn off Simplify"),
     Row(

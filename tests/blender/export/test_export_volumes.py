@@ -207,3 +207,24 @@ class _Stored(list):
 
     def foreach_get(self, target) -> None:
         target[:] = self
+
+
+def test_simplify_makes_voxels_larger(scene, tmp_path):
+    """As Blender does before Cycles sees them."""
+    openvdb = _openvdb()
+    density = openvdb.FloatGrid()
+    density.name = "density"
+    density.copyFromArray(np.random.default_rng(2).random((32, 32, 32), np.float32) + 1)
+    openvdb.write(str(tmp_path / "fine.vdb"), [density])
+    obj = _volume(tmp_path / "fine.vdb")
+    steps, means = [], []
+    for factor in (1.0, 0.5, 0.25):
+        scene.render.use_simplify, scene.render.simplify_volumes = factor < 1, factor
+        placed = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
+        warnings = []
+        (grid,) = export_volume(placed, ["density"], 1, warnings).grids
+        assert not warnings
+        steps.append(1 / np.linalg.norm(grid.to_index[:, 0]))
+        means.append(grid.values[grid.values > 0].mean())
+    np.testing.assert_allclose(steps, [1, 2, 4])
+    np.testing.assert_allclose(means, means[0], rtol=0.05)

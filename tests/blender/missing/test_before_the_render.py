@@ -93,7 +93,9 @@ def test_what_is_missing_is_said_before_the_render(scene, monkeypatch):
     assert statistics["missing"][0] == described(before[0]) and str(before[0]) in statistics["warnings"]
 
 
-@pytest.mark.parametrize("what", ["render time", "guiding", "culling", "denoising data", "samples"])
+@pytest.mark.parametrize(
+    "what", ["render time", "guiding", "culling", "denoising data", "biased volumes", "fast gi", "simplify", "samples"]
+)
 def test_what_was_passed_over_is_named(scene, what):
     obj = add_grid("Host", 1)
     layer = scene.view_layers[0]
@@ -114,6 +116,26 @@ def test_what_was_passed_over_is_named(scene, what):
             pytest.skip("this Cycles writes no such passes")
         layer.cycles.denoising_store_passes = True
         assert the_one(scene, "Denoising Specular Albedo and Denoising Roughness").weight == Weight.SETTING
+    elif what == "biased volumes":
+        if not hasattr(scene.cycles, "volume_biased"):
+            pytest.skip("volumes of this Cycles are always in steps")
+        scene.cycles.volume_step_rate = 2.0
+        assert found(scene) == []  # not heard by Cycles either
+        scene.cycles.volume_biased = True
+        notice = the_one(scene, "Biased on, Step Rate 2")
+        assert notice.weight == Weight.SETTING and notice.remedy
+    elif what == "fast gi":
+        scene.cycles.ao_bounces_render = 3
+        assert found(scene) == []  # as above
+        scene.cycles.use_fast_gi = True
+        assert the_one(scene, "fast global illumination").weight == Weight.REPLACED
+    elif what == "simplify":
+        scene.cycles.texture_limit_render = "512"
+        assert found(scene) == []  # as above
+        scene.render.use_simplify = True
+        scene.render.simplify_subdivision_render, scene.render.simplify_child_particles_render = 1, 0.5  # by Blender
+        notice = the_one(scene, "Simplify")
+        assert "512" in notice and "ubdivision" not in notice and "hild" not in notice
     else:
         scene.cycles.samples = 77
         assert "Samples: 77 in Cycles" in the_one(scene, "settings of Cycles")

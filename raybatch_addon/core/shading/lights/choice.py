@@ -131,6 +131,7 @@ class ChoiceFeatures:
     mesh_lights: bool
     world_light: bool
     light_links: bool = False
+    volume_lights: bool = False
 
 
 def make_light_choice(features: ChoiceFeatures) -> LightChoice:
@@ -138,7 +139,7 @@ def make_light_choice(features: ChoiceFeatures) -> LightChoice:
     lights = features.lights
     if not features.light_choice:
         return LightChoice(_choose_only, _only_pdf)
-    local = features.mesh_lights or any(kind != LightKind.SUN for kind in lights)
+    local = features.mesh_lights or features.volume_lights or any(kind != LightKind.SUN for kind in lights)
     return _make_choice(LightKind.SUN in lights, features.world_light, local, features.light_links)
 
 

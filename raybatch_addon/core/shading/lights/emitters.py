@@ -1,7 +1,7 @@
 """Emitters of a scene, and how bright each is. Host side, NumPy only.
 
-Emitters are numbered: first the lights without mesh, in the scene's order, then the emissive triangles, sorted by
-instance and then by primitive.
+Emitters are numbered: first the lights without mesh, in the scene's order, then cells of volumes, then the emissive
+triangles, sorted by instance and then by primitive.
 """
 
 from __future__ import annotations
@@ -22,8 +22,24 @@ from ...scene.validate import box_of
 # Rounding of cosines that come from sines: where lights are chosen, a cone counts as so much wider
 COSINE_ERROR = 1e-3
 
+# `LightRecord.kind` of a cell of a volume, beside those of `LightKind`
+CELL = -1
+
 # Entries of a temporary [instances of one mesh, triangles] block that a thread computes areas of: 4 MB of float64
 _BLOCK = 2**19
+
+
+@dataclass(frozen=True)
+class EmissiveCells:
+    """Cells in which volumes emit, each a parallelepiped; float64."""
+
+    middle: np.ndarray  # [m], shape [c, 3]
+    half: np.ndarray  # from the middle to three of the faces, in rows [m], shape [c, 3, 3]
+    rate: np.ndarray  # about how many points along a metre scattered rays look at for light [1/m], shape [c]
+    strength: np.ndarray  # intensity, estimated, mean of the channels [W/sr], shape [c]
+
+    def __len__(self) -> int:
+        return len(self.rate)
 
 
 @dataclass(frozen=True)

@@ -45,6 +45,7 @@ class LightHitFeatures:
     light_links: bool = False
     shadow_links: bool = False
     light_groups: bool = False
+    volume_lights: bool = False
 
 
 class LightHits(NamedTuple):

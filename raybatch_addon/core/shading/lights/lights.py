@@ -15,7 +15,9 @@ from ...scene.description import LightKind
 from ...scene.features import narrow
 from ...scene.geometry import Geometry
 from .area_shapes import sample_area_light, sample_parallel_light
+from .cells.cells import sample_cell
 from .choice import ChoiceFeatures, LitPoint, make_light_choice
+from .emitters import CELL
 from .links import blocking_visibility, is_linked, owner_of
 from .portals.portals import has_portals, sample_through_portals
 from .shapes import (
@@ -52,6 +54,7 @@ class LightFeatures:
     light_links: bool = False  # some emitters light some objects alone
     shadow_links: bool = False  # some objects alone block the light of some emitters
     light_portals: bool = False  # the world is sampled through portals
+    volume_lights: bool = False  # volumes that emit are emitters
 
 
 class Lights(NamedTuple):
@@ -187,11 +190,17 @@ def make_lights(features: LightFeatures) -> Lights:
         position = point.position
         if emitter >= 0:
             if emitter < table.light_count:
-                if wp.static(len(features.lights) > 0):
+                if wp.static(len(features.lights) > 0 or features.volume_lights):
                     light = table.lights[emitter]
                     s = sample_shape(light, position, u)
+                    if wp.static(features.volume_lights):
+                        if light.kind == wp.static(CELL):
+                            s = sample_cell(light, position, u_choice, u)
                     s.radiance = wp.cw_mul(s.radiance, light.emission)
                     s.delta = light.delta
+                    if wp.static(features.volume_lights):
+                        if light.kind == wp.static(CELL):
+                            s.delta = 0  # scattered rays meet its light in the volume
                     s.casts_shadow = light.casts_shadow
                     s.visibility = light.visibility
                     s.instance = -1

@@ -13,7 +13,15 @@ from ...native.structs import record_type, upload_records, upload_struct
 from ...scene.description import Light, LightKind, Scene, Visibility
 from ...scene.geometry import Geometry
 from .choice_table import ChoiceTable
-from .emitters import EmissiveTriangles, find_emissive_triangles, light_area, light_strengths, triangle_strengths
+from .emitters import (
+    CELL,
+    EmissiveCells,
+    EmissiveTriangles,
+    find_emissive_triangles,
+    light_area,
+    light_strengths,
+    triangle_strengths,
+)
 from .link_table import upload_links
 from .tree.fill import fill_blocks, launch_parts
 from .tree.kernels import EmitterBoxes, EmittingTriangles, LightNode, bound_triangles_kernel
@@ -39,7 +47,7 @@ KeepTree = Callable[[tuple[list[np.ndarray], object], Callable[[], ChoiceTable]]
 class LightRecord:
     """One light without mesh; fields that its kind does not use are 0."""
 
-    kind: int  # `LightKind`
+    kind: int  # `LightKind`, or CELL
     visibility: int  # `Visibility` bits
     casts_shadow: int
     delta: int  # 1: no ray meets it by chance
@@ -50,15 +58,15 @@ class LightRecord:
     axis_y: wp.vec3  # unit
     axis: wp.vec3  # unit, the direction in which it shines
     # radiance, before spread and cone [W/(m² sr)]; of delta lights POINT, SPOT: radiant intensity [W/sr]; of other
-    # delta lights: irradiance of a surface that faces it [W/m²]
+    # delta lights: irradiance of a surface that faces it [W/m²]; CELL: one over its rate [m]
     emission: wp.vec3
-    radius: float  # POINT, SPOT [m]
+    radius: float  # POINT, SPOT [m]; CELL: half its edge along `axis`
     one_minus_cos: float  # SUN: 1 - cos of half its angular diameter
     cos_half: float  # SPOT: cosine of half the cone's angle
     inverse_blend: float  # SPOT: one over the span of the cosine that is softened; 0: a hard edge
     squeeze_x: float  # SPOT: one over the width of the cone relative to z
     squeeze_y: float
-    half_x: float  # RECTANGLE, ELLIPSE: half width [m]
+    half_x: float  # RECTANGLE, ELLIPSE, CELL: half width [m]
     half_y: float
     tan_half_spread: float  # RECTANGLE, ELLIPSE: tangent of half the spread
     spread_scale: float  # RECTANGLE, ELLIPSE: one over that tangent; 0: light leaves into the whole half space
@@ -66,10 +74,10 @@ class LightRecord:
 
 @wp.struct
 class LightTable:
-    """All emitters: lights without mesh first, then emissive triangles, then the world if it is sampled."""
+    """All emitters: lights without mesh, cells of volumes, emissive triangles, and the world if it is sampled."""
 
     emitter_count: int
-    light_count: int
+    light_count: int  # cells among them
     choice: wp.array(dtype=ChoiceTable)  # [1]: kernels have the table in their parameters, whose size is limited
     lights: wp.array(dtype=LightRecord)  # [light_count], and behind them the portals of the world, if it is sampled
     sun_count: int
@@ -111,6 +119,7 @@ def upload_lights(
     lamps: Callable[[LightTable], np.ndarray] | None = None,
     triangles: EmissiveTriangles | None = None,
     geometry: Geometry | None = None,
+    cells: EmissiveCells | None = None,
     keep: KeepTree = lambda key, make: make(),
 ) -> UploadedLights:
     """The emitters of `scene` on `device`; raises `SceneError` for emission that is not finite.
@@ -123,6 +132,7 @@ def upload_lights(
             from a table that holds lights, and portals behind them, alone.
         triangles: the emissive triangles, where they are known.
         geometry: that of `scene` on `device`; needed where triangles emit.
+        cells: those of volumes; the first is the emitter behind the last light without mesh.
         keep: returns the tree over emitters that `make` makes, or one that it made before of the same arrays, if they
             are frozen, and values.
     """
@@ -134,6 +144,7 @@ def upload_lights(
     records = np.zeros(len(scene.lights), record_type(LightRecord))
     for i, light in enumerate(scene.lights):
         _fill_record(records[i, ...], light)
+    records = np.concatenate([records, *([] if cells is None else [_cell_records(cells)])])
 
     def upload(values, dtype) -> wp.array:
         return wp.array(values, dtype=dtype, device=device)
@@ -149,6 +160,7 @@ def upload_lights(
     table.lights = upload_records(np.concatenate([records, _portals(scene, world)]), LightRecord, device)
     if lamps is not None:
         strength *= lamps(table)
+    strength = np.concatenate([strength, *([] if cells is None else [cells.strength])])
     table.sun_count = len(suns)
     table.suns = upload(suns, int)
     table.tree_count = len(placed)
@@ -273,10 +285,12 @@ def _lamp_nodes(records: np.ndarray, local: np.ndarray, strength: np.ndarray) ->
     lamps = records[local]
     nodes = np.zeros(len(local), record_type(LightNode))
     nodes["centre"], nodes["axis"] = lamps["position"], lamps["axis"]
-    nodes["radius"] = np.maximum(lamps["radius"], np.hypot(lamps["half_x"], lamps["half_y"]))
+    beside = np.hypot(lamps["half_x"], lamps["half_y"])
+    nodes["radius"] = np.maximum(lamps["radius"], beside)
     nodes["power"], nodes["emitter"] = strength[local], local
-    spot, point = lamps["kind"] == LightKind.SPOT, lamps["kind"] == LightKind.POINT
-    nodes["cos_axis"] = np.where(point, -1, 1)
+    spot, point, cell = (lamps["kind"] == kind for kind in (LightKind.SPOT, LightKind.POINT, CELL))
+    nodes["radius"][cell] = np.hypot(lamps["radius"], beside)[cell]
+    nodes["cos_axis"] = np.where(point | cell, -1, 1)
     # a spot's cone is squeezed along its width and height; at its widest it is `wide` times as wide
     cosine = lamps["cos_half"].astype(np.float64)
     squeeze = np.minimum(lamps["squeeze_x"], lamps["squeeze_y"]).astype(np.float64)
@@ -286,6 +300,19 @@ def _lamp_nodes(records: np.ndarray, local: np.ndarray, strength: np.ndarray) ->
     narrow = lamps["tan_half_spread"] > 0
     nodes["cos_edge"][narrow] = 1 / np.hypot(1, lamps["tan_half_spread"][narrow].astype(np.float64))
     return nodes
+
+
+def _cell_records(cells: EmissiveCells) -> np.ndarray:
+    """Records of cells, which no ray meets as lights."""
+    records = np.zeros(len(cells), record_type(LightRecord))
+    length = np.maximum(np.linalg.norm(cells.half, axis=2), float(_FLOAT.tiny))
+    axes = cells.half / length[:, :, None]
+    records["kind"], records["visibility"] = CELL, int(Visibility.ALL)
+    records["casts_shadow"] = records["delta"] = 1
+    records["axis_x"], records["axis_y"], records["axis"] = axes[:, 0], axes[:, 1], axes[:, 2]
+    records["half_x"], records["half_y"], records["radius"] = length.T
+    records["position"], records["emission"] = cells.middle, 1 / cells.rate[:, None]
+    return records
 
 
 def _fill_record(record: np.ndarray, light: Light) -> None:

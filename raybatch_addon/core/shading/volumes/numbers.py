@@ -14,6 +14,8 @@ _PIECE_DIMENSIONS = LIGHTS + DIMENSIONS_PER_BOUNCE
 SHADOW_STREAM = 1 << 31
 # The choice of points from which light is looked for has a stream of its own
 LIT_STREAM = 0x2545F491
+# So have points at which light of volumes is weighed
+EMISSION_STREAM = 0x6C8E9CF5
 
 
 @wp.func

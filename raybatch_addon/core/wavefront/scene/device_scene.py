@@ -77,7 +77,7 @@ class DeviceScene:
         """Upload `scene` and build its tree.
 
         `shading`: what kernels are specialised on (default: `features`). `on_stage` gets what begins: `images`,
-        `tree`, `materials`, `lights`, `volumes`.
+        `tree`, `materials`, `volumes`, `lights`.
         """
         shading = shading or features
         on_stage("images")
@@ -120,6 +120,12 @@ class DeviceScene:
         stored = []
         if shading.programs.apart:
             stored = store_programs(data.nodes, data.world_nodes, data.lamp_nodes, device=device)
+        volumes = None
+        if features.volumes:
+            on_stage("volumes")
+            volumes = upload_volumes(scene, features, shading, data.geometry, images.table, device, cache.volumes)
+        else:
+            cache.volumes.clear()
         on_stage("lights")
         emitted, world, lamps = _program_light(data, scene, features, shading, device, cache.world)
         emits = [emits_light(material, emitted is not None) for material in scene.materials]
@@ -136,6 +142,7 @@ class DeviceScene:
             world=world,
             lamps=lamps,
             geometry=data.geometry,
+            cells=volumes.cells if volumes else None,
             keep=cache.light_tree.get,
         )
         data.lights = lights.table
@@ -150,12 +157,6 @@ class DeviceScene:
             for material in scene.materials
             for closure in material.closures
         ) or any(passing)
-        volumes = None
-        if features.volumes:
-            on_stage("volumes")
-            volumes = upload_volumes(scene, features, shading, data.geometry, images.table, device, cache.volumes)
-        else:
-            cache.volumes.clear()
         return DeviceScene(
             device=device,
             features=features,

@@ -57,6 +57,7 @@ class BackgroundFeatures:
     light_links: bool = False
     light_groups: bool = False
     light_portals: bool = False
+    volume_lights: bool = False
 
 
 @functools.cache

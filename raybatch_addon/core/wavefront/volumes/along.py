@@ -34,6 +34,7 @@ class Sought:
     middle: float  # from there a light is chosen to find points by [m]
     nearest: float  # where the ray comes nearest to that light [m]
     aside: float  # how near that is [m]
+    seeks: int  # 1: points are sought at all
     angle: float  # of the part, as seen from the light [rad]; 0: no light has a place, or it is far off
 
 

@@ -58,8 +58,10 @@ class Bounded:
 
 
 @functools.cache
-def make_bound(programs: ProgramFeatures) -> wp.Function:
-    """Function (volumes, i: int): finds the largest extinction at points of cell `i` of the box that is `asked` for."""
+def make_bound(programs: ProgramFeatures, emission: bool = False) -> wp.Function:
+    """Function (volumes, i: int): finds the largest extinction at points of cell `i` of the box that is `asked` for, or
+    the mean `emission`.
+    """
     medium = make_medium(programs)
 
     @wp.func
@@ -71,6 +73,7 @@ def make_bound(programs: ProgramFeatures) -> wp.Function:
         y = (i / cells) % cells
         x = i / (cells * cells)
         largest = float(0.0)
+        emitted = float(0.0)
         points = int(_POINTS)
         more = volumes.asked.places.shape[0] / (cells * cells * cells)
         for k in range(points + more):
@@ -94,11 +97,16 @@ def make_bound(programs: ProgramFeatures) -> wp.Function:
                     kind = int(1) << (ray / 2)
                 point = ray_point(place, wp.vec3(0.0, 0.0, 1.0), kind, ray % 2, time)
                 m = medium(volumes, volumes.asked.inside, point, lobes)
+                if wp.static(emission):
+                    emitted += (m.emission[0] + m.emission[1] + m.emission[2]) / wp.static(3.0 * _POINTS)
                 for axis in range(3):
                     # an emission alone must be met too, however little is there
                     light = wp.where(m.emission[axis] > 0.0, volumes.asked.flights, 0.0)
                     largest = wp.max(largest, wp.max(m.extinction[axis], light))
                 ray += 1
+        if wp.static(emission):
+            if volumes.asked.emission != 0:
+                largest = emitted
         volumes.asked.found[i] = wp.min(largest, 1.0e18)
 
     return bound

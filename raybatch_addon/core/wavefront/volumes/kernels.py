@@ -44,7 +44,7 @@ def bound_kernel(features: VolumeFeatures) -> wp.Kernel:
     """Kernel (volumes) that finds bounds, or the one that holds all stages."""
     if features.volume_program.apart:
         return _general_kernel(features)
-    return _bound_kernel(make_bound(features.volume_program))
+    return _bound_kernel(make_bound(features.volume_program, features.volume_lights))
 
 
 def launch_bound(features: VolumeFeatures, volumes: VolumeData, count: int, device: wp.Device) -> None:
@@ -93,7 +93,9 @@ def _general_kernel(features: VolumeFeatures) -> wp.Kernel:
     # lamps are in the same interpreter as volumes
     features = dataclasses.replace(features, lamp_program=features.volume_program)
     program = features.volume_program
-    return _kernel_of_all(make_scatter(features), make_transmit(features), make_bound(program), program.ops)
+    return _kernel_of_all(
+        make_scatter(features), make_transmit(features), make_bound(program, features.volume_lights), program.ops
+    )
 
 
 @functools.cache

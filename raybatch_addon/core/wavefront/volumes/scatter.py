@@ -37,6 +37,7 @@ from ..stages.surface.aim import AimFeatures, is_aimed, make_choose_light
 from ..stages.surface.vertex import Vertex
 from ..stages.work import TileWork
 from .along import Sought, sought_in_bounds, sought_in_constant, towards_light
+from .emission.weigh import Seen, make_weighed, make_weighed_constant
 from .features import VolumeFeatures
 from .lights import Way, make_lights_ahead
 from .medium import LOBES_MOST, PHASE_LOBE_FLOATS, Coefficients, make_constant_medium, may_vary, varies_along
@@ -61,7 +62,9 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
     sample_1d = sampler.sample_1d
     surface_point = make_surface_point(features.instancing, features.smooth_normals, features.curves, features.moving)
     varies = may_vary(features.volume_program)
-    track = make_track(features.volume_program) if varies else None
+    weighed = make_weighed(features) if features.volume_lights else None
+    weighed_constant = make_weighed_constant(weighed) if features.volume_lights else None
+    track = make_track(features.volume_program, weighed) if varies else None
     lights_ahead = make_lights_ahead(features)
     miss = make_light_hits(narrow(features, LightHitFeatures)).miss
     aim = make_aim_in_volume(features)
@@ -70,7 +73,8 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
     add_light = make_add_light(features.splits_light, features.light_groups)
     constant_medium = make_constant_medium(features.volume_program)
     # whether lights have places, towards which points of a ray can be sought
-    has_places = features.shadow_rays and (features.mesh_lights or any(k != LightKind.SUN for k in features.lights))
+    placed = features.mesh_lights or features.volume_lights or any(k != LightKind.SUN for k in features.lights)
+    has_places = features.shadow_rays and placed
 
     @wp.func
     def gather(limits: PathLimits, paths: Paths, path: int, light: wp.vec3, bounce: int, group: int):
@@ -184,10 +188,14 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
             v.dimension = dimension + wp.uint32(wp.static(LIGHTS))
             seeks = bool(False)
             if wp.static(features.shadow_rays):
-                seeks = scatters and is_aimed(data.lights, limits, v)
+                seeks = scatters and volumes.scatters != 0 and is_aimed(data.lights, limits, v)
             way = Track()
             far = wp.min(length, wp.static(FARTHEST))
             sought = Sought()
+            seen = Seen()
+            if wp.static(features.volume_lights):
+                seen.pdf = pdf
+                seen.point = left_point(paths, path, origin - before * direction)
             changes = bool(False)
             if wp.static(varies):
                 changes = varies_along(volumes, inside)
@@ -196,8 +204,20 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
                     if seeks:
                         sought = sought_in_bounds(volumes, inside, origin, direction, begin.time, far)
                         sought = seek(data, paths, path, v, origin, sought)
+                        sought.seeks = 1
                     way = track(
-                        volumes, inside, begin, far, throughput, scatters, seeks, sought, stream, lobes, lit_lobes
+                        volumes,
+                        inside,
+                        begin,
+                        far,
+                        throughput,
+                        scatters,
+                        sought,
+                        stream,
+                        lobes,
+                        lit_lobes,
+                        data.lights,
+                        seen,
                     )
             else:
                 m = constant_medium(volumes, inside, begin, lobes)
@@ -217,6 +237,9 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
                     for k in range(m.lobes):
                         lit_lobes[k] = lobes[k]
                 way = constant_way(m, far, throughput, scatters, seeks, sought, u_lit, u)
+                if wp.static(features.volume_lights):
+                    if pdf > 0.0 and volumes.lights.of.shape[0] > 0 and has_light(m.emission):
+                        way.emitted = weighed_constant(volumes, data.lights, seen, inside, begin, m, far, stream)
             medium = way.medium
             event = way.event
             if event != 0:

@@ -38,9 +38,31 @@ class BoundWork:
     moving: int  # the instance that moves; -1: nothing does
     cells: int  # along each axis
     rays: int  # kinds of rays that are looked at, see `bounds.py`
+    emission: int  # 1: the mean emission is found instead, where volumes are emitters
     flights: float  # the least bound of what emits light [1/m]
     places: wp.array(dtype=wp.vec3)  # where more is looked at: as many points of each cell [m]; or none
-    found: wp.array(dtype=float)  # result of each cell: the largest extinction [1/m]
+    found: wp.array(dtype=float)  # result of each cell: the largest extinction [1/m], or emission [W/(m³ sr)]
+
+
+@wp.struct
+class EmissionGrid:
+    """A grid of cells over a volume that emits."""
+
+    to_cells: mat34  # world to cells: cell (i, j, k) is from (i, j, k) to (i + 1, j + 1, k + 1)
+    size: int  # cells along each axis
+    first: int  # of its cells in `VolumeLights.emitters`, the last axis changing fastest
+
+
+@wp.struct
+class VolumeLights:
+    """Volumes as emitters, by cells; no entries where none is."""
+
+    emits: wp.array(dtype=int)  # of each volume: 1: it may emit, whether it is an emitter or not
+    of: wp.array(dtype=int)  # entry in `grids` of each code of `MediaState.inside`, less 1; -1: it is no emitter
+    grids: wp.array(dtype=EmissionGrid)
+    emitters: wp.array(dtype=int)  # emitter of each cell; -1: none
+    first: int  # the first emitter that is a cell
+    codes: wp.array(dtype=int)  # code of the volume of each emitter from there on
 
 
 @wp.struct
@@ -71,12 +93,14 @@ class VolumeData:
     closures: wp.array(dtype=ClosureRecord)
     nodes: NodeData  # programs of volumes; `program_first` by volume
     varies: int  # 1: a program may give other coefficients at other points of an object
+    scatters: int  # 0: no light is looked for along rays, as none of the volumes scatters
     density_scale: wp.array(dtype=float)  # of each instance: factor of all coefficients; empty: 1
     bounds_of: wp.array(dtype=int)  # entry in `grids`, by instance * volume_count + volume; -1: there is no program
     world_bounds: int
     grids: wp.array(dtype=Bounds)
     bounds: wp.array(dtype=float)  # largest extinction of each cell [1/m]
     enclosures: Enclosures
+    lights: VolumeLights
     bounce_max: int  # a path scatters in volumes once more at most
     asked: BoundWork  # before the render
     state: MediaState

@@ -20,10 +20,12 @@ import warp as wp
 from ...programs.point import ShadingPoint
 from ...scene.program import ProgramFeatures
 from ...shading.bsdf.materials import address_of
+from ...shading.lights.table import LightTable
 from ...shading.sequences.keys import mix_bits
 from ...shading.volumes.numbers import LIT_STREAM, stream_number
 from ...shading.volumes.phase import PhaseLobe
 from .along import Sought, density_by_light, length_by_light
+from .emission.weigh import Seen
 from .medium import LOBES_MOST, PHASE_LOBE_FLOATS, Coefficients, bound_ahead, make_medium
 from .table import VolumeData
 
@@ -138,11 +140,13 @@ def _sought_density(sought: Sought, t: float) -> float:
 
 
 @functools.cache
-def make_track(programs: ProgramFeatures) -> wp.Function:
-    """Function (volumes, inside: vec4i, point: ShadingPoint, length: float, throughput: vec3, scatters: bool, seeks:
-    bool, sought: Sought, stream: uint32, lobes: array of PhaseLobe, lit_lobes: array of PhaseLobe) -> Track: the way of
-    light of `throughput` from `point` on, which ends at the latest after `length` [m]. Where it scatters, `lobes` are
-    those that are there; `lit_lobes` are those of the point from which light is looked for, if it `seeks` one.
+def make_track(programs: ProgramFeatures, weighed: wp.Function | None = None) -> wp.Function:
+    """Function (volumes, inside: vec4i, point: ShadingPoint, length: float, throughput: vec3, scatters: bool, sought:
+    Sought, stream: uint32, lobes: array of PhaseLobe, lit_lobes: array of PhaseLobe, table: LightTable,
+    seen: Seen) -> Track: the way of light of `throughput` from `point` on, which ends at the latest after `length` [m].
+    Where it scatters, `lobes` are those that are there; `lit_lobes` are those of the point from which light is looked
+    for, if one is sought. `weighed`: as of `make_weighed`, where volumes are emitters, which `seen` and `table` are
+    for.
     """
     medium = make_medium(programs)
 
@@ -154,17 +158,19 @@ def make_track(programs: ProgramFeatures) -> wp.Function:
         length: float,
         throughput: wp.vec3,
         scatters: bool,
-        seeks: bool,
         sought: Sought,
         stream: wp.uint32,
         lobes: wp.array(dtype=PhaseLobe),
         lit_lobes: wp.array(dtype=PhaseLobe),
+        table: LightTable,
+        seen: Seen,
     ) -> Track:
         direction = -point.incoming
         begin = point.position
         way = Track()
         way.weight = wp.vec3(1.0)
         way.length = length
+        seeks = sought.seeks != 0
         lit_stream = mix_bits(stream + wp.uint32(wp.static(LIT_STREAM)))
         searches = seeks and sought.last > sought.first
         ahead = float(wp.inf)  # the point that is sought, until it has been passed [m]
@@ -222,7 +228,10 @@ def make_track(programs: ProgramFeatures) -> wp.Function:
                         for k in range(m.lobes):
                             lit_lobes[k] = lobes[k]
                 if collides:
-                    way.emitted += wp.cw_mul(way.weight, m.emission) / most
+                    emission = m.emission
+                    if wp.static(weighed is not None):
+                        emission = weighed(volumes, table, seen, inside, point, emission)
+                    way.emitted += wp.cw_mul(way.weight, emission) / most
                     null = wp.vec3(0.0)
                     for axis in range(3):
                         null[axis] = wp.max(1.0 - m.extinction[axis] / most, 0.0)

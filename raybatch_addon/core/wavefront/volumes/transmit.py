@@ -19,6 +19,7 @@ from ..stages.generate import pixel_sample
 from ..stages.limits import PathLimits
 from ..stages.work import TileWork
 from .cross import behind_surface
+from .emission.weigh import emitting_code, make_emission
 from .features import VolumeFeatures
 from .scatter import SEGMENTS_MOST
 from .segment import make_passed, ray_point
@@ -35,6 +36,7 @@ def make_transmit(features: VolumeFeatures) -> wp.Function:
     surface_point = make_surface_point(features.instancing, features.smooth_normals, features.curves, features.moving)
     is_closed = make_is_closed(features.curves)
     attenuated = make_passed(features.volume_program)
+    emission = make_emission(features.volume_program) if features.volume_lights else None
 
     @wp.func
     def transmit(
@@ -69,6 +71,19 @@ def make_transmit(features: VolumeFeatures) -> wp.Function:
             begin = ray_point(rays.origin[slot], direction, kind, bounce, time_of(rays, path))
             share = attenuated(volumes, inside, begin, length, stream)
             paths.shadow_light[path] = wp.cw_mul(paths.shadow_light[path], share)
+        if wp.static(features.volume_lights):
+            if not hit and paths.light_cell.shape[0] > 0:
+                cell = paths.light_cell[path]
+                if cell >= 0:
+                    # it has come to the point that it was aimed at, which is in the volume or not
+                    code = volumes.lights.codes[cell - volumes.lights.first]
+                    shines = wp.vec3(0.0)
+                    if emitting_code(volumes, inside) == code:
+                        end = rays.origin[slot] + length * direction
+                        kind = int(wp.static(int(Visibility.SHADOW)))
+                        bounce = bounce_to_light(paths.status[path])
+                        shines = emission(volumes, code, ray_point(end, direction, kind, bounce, time_of(rays, path)))
+                    paths.shadow_light[path] = wp.cw_mul(paths.shadow_light[path], shines)
         if borders:
             surface = surface_point(
                 data.geometry, rays.hit_instance[slot], rays.hit_primitive[slot], rays.hit_uv[slot], time_of(rays, path)

@@ -10,21 +10,27 @@ import warp as wp
 
 from ...errors import SceneError
 from ...programs.inputs_data import upload_inputs
+from ...programs.op import op_named
 from ...programs.table import store_programs, upload_programs
-from ...scene.description import ClosureKind, Mesh, Scene
+from ...scene.description import ClosureKind, Mesh, Scene, Volume
 from ...scene.features import SceneFeatures, narrow, scene_volumes
 from ...scene.geometry import Geometry
+from ...scene.motion import apart
 from ...shading.bsdf.materials import ClosureRecord, fill_record
 from ...shading.images.textures import ImageTable
+from ...shading.lights.emitters import EmissiveCells
 from ...shading.volumes.enclosures import upload_enclosures
 from ..scene.unchanged import Last, bounds_key
 from .bounds import RAYS, FoundBounds, bounded_volumes, find_bounds, goes_on_beyond
+from .emission.cells import FoundCells, find_cells
 from .features import VolumeFeatures
 from .grids import GridCache, density_scale, upload_grids
 from .kernels import launch_bound
 from .medium import WORLD_REACH, may_vary
 from .table import VolumeData
 
+# Ops of closures that scatter nothing
+_UNSCATTERED = ("emission", "volume_absorption")
 # The world's volume is taken to be like this many sizes of the scene around it
 _WORLD_SIZES = 2.0
 
@@ -38,6 +44,7 @@ class UploadedVolumes:
     grids: list[wp.Volume]
     stored: list[wp.array]
     warnings: list[str]  # where less of them is rendered than there is
+    cells: EmissiveCells | None = None  # their light, where it is aimed at
 
 
 class VolumeCache:
@@ -46,6 +53,7 @@ class VolumeCache:
     def __init__(self) -> None:
         self.grids = GridCache()
         self.bounds: Last[FoundBounds | None] = Last()
+        self.cells: Last[FoundCells | None] = Last()
 
     @property
     def device_bytes(self) -> int:
@@ -56,6 +64,7 @@ class VolumeCache:
         """Forget it."""
         self.grids.clear()
         self.bounds.clear()
+        self.cells.clear()
 
 
 def upload_volumes(
@@ -107,17 +116,52 @@ def upload_volumes(
     enclosures = upload_enclosures(scene, volume_of, data.volume_count, geometry, device)
     data.enclosures = enclosures.data
     data.varies = int(may_vary(features.volume_program))
+    data.scatters = int(not features.volume_lights or any(map(_may_scatter, volumes)))
     ops, asked = features.volume_program.ops, narrow(shading, VolumeFeatures)
     warnings = _bound(data, scene, asked, volume_of, device, ops, cache.bounds)
     if ClosureKind.RAY_PORTAL in features.closures:
         warnings.append("Ray Portal: a ray that comes out of one is in the volumes of the place where it went in")
-    return UploadedVolumes(data, enclosures.kept, grids, stored, warnings)
+    cells = _emission(data, scene, asked, volume_of, device, cache.cells) if features.volume_lights else None
+    return UploadedVolumes(data, enclosures.kept, grids, stored, warnings, cells)
+
+
+def _may_scatter(volume: Volume) -> bool:
+    made = () if volume.program is None else volume.program.instructions
+    by_program = any(op_named(step.op).makes_closures and step.op not in _UNSCATTERED for step in made)
+    return by_program or any(closure.kind > ClosureKind.VOLUME_ABSORPTION for closure in volume.closures)
 
 
 def _is_boundary(material) -> bool:
     """Whether a surface is seen by nothing but its volume: it lets all light pass."""
     passes = [c for c in material.closures if c.kind == ClosureKind.TRANSPARENT and c.weight == (1.0, 1.0, 1.0)]
     return material.volume is not None and material.program is None and len(passes) == len(material.closures) == 1
+
+
+def _emission(
+    data: VolumeData,
+    scene: Scene,
+    features: VolumeFeatures,
+    volume_of: np.ndarray,
+    device: wp.Device,
+    kept: Last[FoundCells | None],
+) -> EmissiveCells | None:
+    """The cells of `scene` in which volumes emit, or those that are `kept`; what kernels read of them is written to
+    `data`.
+    """
+    volumes = scene_volumes(scene)
+    arrays, values = bounds_key(scene, volume_of, features.volume_program.ops, np.zeros((2, 3)), device.alias)
+    seen = scene.instances.visibility.tobytes(), apart(scene).tobytes()
+    key = arrays, (values, tuple(volume.closures for volume in volumes), seen)
+    found = kept.get(
+        key,
+        lambda: find_cells(
+            data, scene, volume_of, lambda asked, count: launch_bound(features, asked, count, device), device
+        ),
+    )
+    if found is None:
+        return None
+    data.lights = found.upload(len(scene.lights), device)
+    return found.cells
 
 
 def _bound(

@@ -9,6 +9,7 @@ import warp as wp
 
 from ...scene.features import SceneFeatures, narrow
 from .cross import cross_kernel, enter_kernel
+from .emission.cells import inside_kernel
 from .features import VolumeFeatures
 from .grids import store_numbers, store_vectors
 from .kernels import bound_kernel, transmit_kernel, volume_kernel
@@ -16,7 +17,7 @@ from .medium import may_vary
 from .table import MediaState, VolumeData
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class VolumeKernels:
     """Kernels of the stages of volumes."""
 
@@ -27,6 +28,7 @@ class VolumeKernels:
     bound: wp.Kernel | None  # None: no program gives coefficients that vary
     store_numbers: wp.Kernel | None  # None: no program reads grids
     store_vectors: wp.Kernel | None
+    inside: wp.Kernel | None  # None: no volume is aimed at
 
     @staticmethod
     def choose(features: SceneFeatures, shading: SceneFeatures, out_of_line: bool) -> VolumeKernels | None:
@@ -37,15 +39,17 @@ class VolumeKernels:
         if not features.volumes:
             return None
         needs = narrow(shading, VolumeFeatures)
+        varies = may_vary(features.volume_program)
         reads = "volume_attribute" in features.volume_program.ops
         return VolumeKernels(
-            enter_kernel,
-            volume_kernel(needs, out_of_line),
-            cross_kernel(needs.instancing, needs.smooth_normals, needs.curves, needs.moving),
-            transmit_kernel(needs, out_of_line),
-            bound_kernel(needs) if may_vary(features.volume_program) else None,
-            store_numbers if reads else None,
-            store_vectors if reads else None,
+            enter=enter_kernel,
+            scatter=volume_kernel(needs, out_of_line),
+            cross=cross_kernel(needs.instancing, needs.smooth_normals, needs.curves, needs.moving),
+            transmit=transmit_kernel(needs, out_of_line),
+            bound=bound_kernel(needs) if varies or (needs.volume_lights and features.volume_program) else None,
+            store_numbers=store_numbers if reads else None,
+            store_vectors=store_vectors if reads else None,
+            inside=inside_kernel if features.volume_lights else None,
         )
 
     def all(self) -> list[wp.Kernel]:

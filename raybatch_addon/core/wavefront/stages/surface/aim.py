@@ -16,6 +16,7 @@ from ....film.tile import FilmTile
 from ....rays import Rays
 from ....scene.description import LightKind, Visibility
 from ....scene.features import narrow
+from ....shading.lights.cells.cells import is_cell
 from ....shading.lights.choice import lit_point
 from ....shading.lights.lights import LightFeatures, make_lights
 from ....shading.lights.links import group_of, owner_of
@@ -60,6 +61,7 @@ class AimFeatures:
     shadow_links: bool = False
     light_groups: bool = False
     light_portals: bool = False
+    volume_lights: bool = False
     catchers: bool = False
 
 
@@ -89,6 +91,10 @@ def make_choose_light(features: AimFeatures) -> wp.Function:
         if wp.static(features.catchers):
             if light.pdf > 0.0 and not shines_on_copy(data.lights, paths, path, light.emitter):
                 light.pdf = 0.0
+        if wp.static(features.volume_lights):
+            if paths.light_cell.shape[0] > 0:
+                # its volume says how bright it is when the ray is back, if it is there
+                paths.light_cell[path] = wp.where(is_cell(data.lights, light.emitter), light.emitter, -1)
         if wp.static(features.light_groups):
             if has_groups(paths):
                 group = int(-1)

@@ -41,6 +41,7 @@ class SurfaceFeatures:
     shadow_links: bool = False
     light_groups: bool = False
     light_portals: bool = False  # the world is sampled through portals
+    volume_lights: bool = False  # volumes that emit are emitters
     moving: bool = False  # instances or vertices move
     film_glass: bool = False  # a transparent film shows through glass
     film_holes: bool = False  # surfaces cut holes into a film that has alpha

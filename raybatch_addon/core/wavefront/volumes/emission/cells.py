@@ -1,0 +1,209 @@
+"""Cells of the volumes that emit: found before the render, on a grid over each.
+
+How bright a cell is, is estimated at some points of it: by the program of the volume, and by the share of the points
+that lie within its surface. What is brighter than estimated is aimed at more seldom, and what no point shows is left to
+scattered rays. So are volumes that move, and those that not all kinds of rays see.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from ....device.devices import load_module
+from ....device.kernel import KERNEL_OPTIONS
+from ....scene.description import ClosureKind, Mesh, Scene, Visibility
+from ....scene.features import emits_somewhere, is_emissive, scene_volumes
+from ....scene.motion import apart
+from ....shading.lights.emitters import EmissiveCells
+from ....shading.sequences.keys import mix_bits, sequence_number
+from ..bounds import CELLS_MOST, Bounded, bounded_volumes
+from ..grids import density_scale
+from ..table import BoundWork, EmissionGrid, VolumeData, VolumeLights
+from .weigh import POINTS
+
+# Cells along each axis at most, and cells of all volumes together
+_EMITTERS_ALONG, _EMITTERS_TOGETHER = 16, 1 << 16
+_POINTS = 8
+# Share of its own brightness that a cell gives to the cells around it, whose points may have missed something
+_SPREAD = 0.1
+# A direction that lies along no axis, in which the surface around a point is looked for
+_AHEAD = wp.constant(wp.vec3(0.436, 0.218, 0.873))
+_FARTHEST = 1e30
+
+
+@dataclass(frozen=True)
+class FoundCells:
+    """Cells of volumes as emitters, and where they are."""
+
+    cells: EmissiveCells
+    of: np.ndarray  # see `VolumeLights`
+    grids: np.ndarray
+    emitters: np.ndarray  # from 0 on
+    codes: np.ndarray
+    emits: np.ndarray
+
+    def upload(self, first: int, device: wp.Device) -> VolumeLights:
+        """The table for kernels; `first`: the first emitter that is a cell."""
+        lights = VolumeLights()
+        lights.emits = wp.array(self.emits, dtype=int, device=device)
+        lights.of = wp.array(self.of, dtype=int, device=device)
+        lights.grids = wp.array(self.grids, dtype=EmissionGrid, device=device)
+        shifted = np.where(self.emitters >= 0, self.emitters + first, -1).astype(np.int32)
+        lights.emitters = wp.array(shifted, dtype=int, device=device)
+        lights.codes = wp.array(self.codes, dtype=int, device=device)
+        lights.first = first
+        return lights
+
+
+@wp.kernel(**KERNEL_OPTIONS)
+def inside_kernel(mesh: wp.uint64, low: wp.vec3, size: wp.vec3, cells: int, found: wp.array(dtype=float)):
+    """The share of the points of each cell of a box, whose corner is `low`, that are in a closed surface."""
+    i = wp.tid()
+    cell = wp.vec3(float(i / (cells * cells)), float((i / cells) % cells), float(i % cells))
+    inside = int(0)
+    for k in range(_POINTS):
+        seed = mix_bits(wp.uint32(i * _POINTS + k))
+        u = wp.vec3(
+            sequence_number(seed),
+            sequence_number(mix_bits(seed + wp.uint32(1))),
+            sequence_number(mix_bits(seed + wp.uint32(2))),
+        )
+        place = low + wp.cw_mul(size, cell + u) / float(cells)
+        hit = wp.mesh_query_ray(mesh, place, wp.normalize(_AHEAD), wp.static(_FARTHEST))
+        if hit.result and hit.sign < 0.0:
+            inside += 1
+    found[i] = float(inside) / float(_POINTS)
+
+
+def find_cells(
+    volumes: VolumeData,
+    scene: Scene,
+    volume_of: np.ndarray,
+    launch: Callable[[VolumeData, int], None],
+    device: wp.Device,
+) -> FoundCells | None:
+    """The cells of `volumes` of `scene`, of which everything else is there; None where none emits.
+
+    `volume_of`: volume of each material, -1: none. `launch(volumes, cell_count)`: of `make_bound` with emission.
+    """
+    filling = scene_volumes(scene)
+    emits = [is_emissive(volume) for volume in filling]
+    if scene.world.volume is not None:
+        emits[-1] = False
+    may_emit = np.array([emits_somewhere(volume) for volume in filling], np.int32)
+    moves = apart(scene)
+    seen = scene.instances.visibility & int(Visibility.ALL) == int(Visibility.ALL)
+    bounded = [
+        each
+        for each in bounded_volumes(scene, volume_of, emits, np.zeros((2, 3)))
+        if each.instance >= 0 and seen[each.instance] and not moves[each.instance]
+    ]
+    bounded = [each for each in bounded if abs(np.linalg.det(each.to_world[:, :3])) > 0]
+    if not bounded:
+        return None
+    count = int(np.clip((_EMITTERS_TOGETHER / len(bounded)) ** (1 / 3), 1, _EMITTERS_ALONG))
+    grids = np.zeros(len(bounded), EmissionGrid.numpy_dtype())
+    of = np.full(max(len(scene.instances), 1) * volumes.volume_count, -1, np.int32)
+    thinner = density_scale(scene)
+    shares: dict[tuple, np.ndarray] = {}
+    parts, emitters, codes, total = [], [], [], 0
+    for number, each in enumerate(bounded):
+        code = 1 + each.instance * volumes.volume_count + each.volume
+        low, size = each.box[0], np.maximum(np.ptp(each.box, axis=0), 1e-30)
+        key = (id(each.mesh), _slots(scene, each, volume_of).tobytes())
+        if key not in shares:
+            shares[key] = _inside(each.mesh, _slots(scene, each, volume_of), low, size, count, device)
+        edges = each.to_world[:, :3] * size
+        origin = each.to_world[:, :3] @ low + each.to_world[:, 3]
+        longest = float(np.linalg.norm(edges, axis=0).max())
+        volume = filling[each.volume]
+        if volume.program is None:
+            scale = 1.0 if thinner is None else float(thinner[each.instance])
+            weights = {True: np.zeros(3), False: np.zeros(3)}
+            for closure in volume.closures:
+                weights[closure.kind == ClosureKind.EMISSION] += scale * np.asarray(closure.weight, float)
+            emission = np.full(count**3, weights[True].mean())
+            rate = np.full(count**3, weights[False].max() + POINTS / longest)
+        else:
+            emission, extinction = _evaluated(volumes, code, origin, edges, count, launch, device)
+            rate = np.maximum(extinction, (CELLS_MOST if volumes.varies else POINTS) / longest)
+        strength = emission * shares[key] * abs(np.linalg.det(edges)) / count**3
+        strength = _spread(strength.reshape((count,) * 3)).ravel() * (shares[key] > 0)
+        strength = np.where(np.isfinite(strength), strength, 0)
+        bright = np.flatnonzero(strength > 0)
+        inverse = np.linalg.inv(edges) * count
+        grids[number]["to_cells"] = np.column_stack([inverse, -inverse @ origin])
+        grids[number]["size"], grids[number]["first"] = count, number * count**3
+        of[code - 1] = number
+        place = np.stack(np.unravel_index(bright, (count,) * 3), 1)
+        middle = origin + (place + 0.5) / count @ edges.T
+        half = np.broadcast_to(edges.T / (2 * count), (len(bright), 3, 3))
+        parts.append((middle, half, rate[bright], strength[bright]))
+        numbers = np.full(count**3, -1)
+        numbers[bright] = total + np.arange(len(bright))
+        emitters.append(numbers)
+        codes.append(np.full(len(bright), code, np.int32))
+        total += len(bright)
+    if not total:
+        return None
+    cells = EmissiveCells(*(np.concatenate(values) for values in zip(*parts)))
+    return FoundCells(cells, of, grids, np.concatenate(emitters), np.concatenate(codes), may_emit)
+
+
+def _slots(scene: Scene, each: Bounded, volume_of: np.ndarray) -> np.ndarray:
+    """Whether each material slot of an instance has the volume."""
+    slots = 1 if each.mesh.triangle_slot is None else int(each.mesh.triangle_slot.max()) + 1
+    first = int(scene.instances.slot_first[each.instance])
+    return volume_of[scene.slot_materials[first : first + slots]] == each.volume
+
+
+def _inside(
+    mesh: Mesh, slots: np.ndarray, low: np.ndarray, size: np.ndarray, count: int, device: wp.Device
+) -> np.ndarray:
+    """Share of each cell that is in the surface of the triangles with these `slots`; float64, shape [count^3]."""
+    corners = mesh.triangles if mesh.triangle_slot is None else mesh.triangles[slots[mesh.triangle_slot]]
+    if not len(corners):
+        return np.zeros(count**3)
+    surface = wp.Mesh(
+        wp.array(mesh.positions, dtype=wp.vec3, device=device),
+        wp.array(np.ascontiguousarray(corners, np.int32).ravel(), dtype=int, device=device),
+    )
+    found = wp.zeros(count**3, dtype=float, device=device)
+    load_module(inside_kernel, device)
+    wp.launch(inside_kernel, count**3, [surface.id, wp.vec3(*low), wp.vec3(*size), count, found], device=device)
+    return found.numpy().astype(np.float64)
+
+
+def _evaluated(
+    volumes: VolumeData,
+    code: int,
+    origin: np.ndarray,
+    edges: np.ndarray,
+    count: int,
+    launch: Callable[[VolumeData, int], None],
+    device: wp.Device,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean emission [W/(m³ sr)] and largest extinction [1/m] of each cell of a volume, float64, shape [count^3]."""
+    world, results = volumes.world, []
+    volumes.world = -1
+    for emission in (1, 0):
+        asked = BoundWork()
+        asked.inside, asked.cells, asked.rays, asked.moving = wp.vec4i(code, 0, 0, 0), count, 1, -1
+        asked.origin, asked.edges, asked.emission = wp.vec3(*origin), wp.mat33(*edges.ravel()), emission
+        asked.found = wp.zeros(count**3, dtype=float, device=device)
+        volumes.asked = asked
+        launch(volumes, count**3)
+        results.append(asked.found.numpy().astype(np.float64))
+    volumes.asked, volumes.world = BoundWork(), world
+    return results[0], results[1]
+
+
+def _spread(strength: np.ndarray) -> np.ndarray:
+    """`strength` of cells, shape [n, n, n], with a part of the mean of those around."""
+    padded, n = np.pad(strength, 1), strength.shape[0]
+    around = sum(padded[x : x + n, y : y + n, z : z + n] for x in range(3) for y in range(3) for z in range(3))
+    return strength + _SPREAD / 27 * around

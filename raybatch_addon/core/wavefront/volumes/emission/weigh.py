@@ -1,0 +1,154 @@
+"""Light of volumes that scattered rays meet, weighed against the points of cells that are aimed at.
+
+Where several volumes lie in one another that may emit, rays alone find their light.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import warp as wp
+
+from ....programs.point import ShadingPoint
+from ....scene.features import narrow
+from ....scene.geometry import transform_point
+from ....scene.program import ProgramFeatures
+from ....shading.bsdf.materials import address_of
+from ....shading.lights.cells.cells import cell_pdf
+from ....shading.lights.choice import ChoiceFeatures, LitPoint, make_light_choice
+from ....shading.lights.lights import light_weights
+from ....shading.lights.table import LightTable
+from ....shading.sequences.keys import mix_bits
+from ....shading.volumes.numbers import EMISSION_STREAM, stream_number
+from ....shading.volumes.phase import PhaseLobe
+from ..along import Sought, lit_length
+from ..features import VolumeFeatures
+from ..medium import LOBES_MOST, PHASE_LOBE_FLOATS, Coefficients, make_medium, passes
+from ..table import INSIDE_MOST, VolumeData, entry
+
+# Points along a piece of a ray at which a medium that is the same everywhere is looked at
+POINTS = 2
+
+
+@wp.struct
+class Seen:
+    """Where a ray scattered last, from where it may meet light that was aimed at too."""
+
+    point: LitPoint
+    pdf: float  # density of its direction there [1/sr]; 0: light sampling had no part
+
+
+@wp.func
+def emitting_code(volumes: VolumeData, inside: wp.vec4i) -> int:
+    """The code of the volume that alone may emit where a ray is in these, as in `MediaState.inside`; 0: there is none,
+    it is the world's, or there are several, whose light is left to rays.
+    """
+    code = int(0)
+    count = int(0)
+    for place in range(wp.static(INSIDE_MOST + 1)):
+        found = entry(volumes, inside, place)
+        if found[1] >= 0:
+            if volumes.lights.emits[found[1]] != 0:
+                count += 1
+                if found[0] >= 0:
+                    code = 1 + found[0] * volumes.volume_count + found[1]
+    return wp.where(count == 1, code, 0)
+
+
+@wp.func
+def cell_at(volumes: VolumeData, code: int, position: wp.vec3) -> int:
+    """The emitter that is the cell around `position` of the volume of this code; -1: there is none."""
+    number = volumes.lights.of[code - 1]
+    if number < 0:
+        return -1
+    grid = volumes.lights.grids[number]
+    at = transform_point(grid.to_cells, position)
+    cell = int(0)
+    for axis in range(3):
+        if not (at[axis] >= 0.0 and at[axis] < float(grid.size)):
+            return -1
+        cell = cell * grid.size + wp.min(int(at[axis]), grid.size - 1)
+    return volumes.lights.emitters[grid.first + cell]
+
+
+@functools.cache
+def make_emission(programs: ProgramFeatures) -> wp.Function:
+    """Function (volumes, code: int, point: ShadingPoint) -> vec3: what the volume of `code`, a code of
+    `MediaState.inside`, emits at `point` [W/(m³ sr)].
+    """
+    medium = make_medium(programs, alone=True)
+
+    @wp.func
+    def emission(volumes: VolumeData, code: int, point: ShadingPoint) -> wp.vec3:
+        floats = wp.zeros(wp.static(LOBES_MOST * PHASE_LOBE_FLOATS), dtype=float)
+        lobes = wp.array(ptr=address_of(floats), shape=(wp.static(LOBES_MOST),), dtype=PhaseLobe)
+        m = medium(volumes, wp.vec4i(code, 0, 0, 0), point, lobes)
+        return m.emission
+
+    return emission
+
+
+@functools.cache
+def make_weighed(features: VolumeFeatures) -> wp.Function:
+    """Function (volumes, table, seen: Seen, inside: vec4i, point: ShadingPoint, emission: vec3) -> vec3: the part of
+    `emission` [W/(m³ sr)], which all volumes together have at `point`, that counts for a ray that meets it there.
+    """
+    selection_pdf = make_light_choice(narrow(features, ChoiceFeatures)).pdf
+    hit_weight = light_weights(features.mis)[1]
+
+    @wp.func
+    def weighed(
+        volumes: VolumeData, table: LightTable, seen: Seen, inside: wp.vec4i, point: ShadingPoint, emission: wp.vec3
+    ) -> wp.vec3:
+        shines = emission[0] > 0.0 or emission[1] > 0.0 or emission[2] > 0.0
+        if not shines or not seen.pdf > 0.0 or volumes.lights.of.shape[0] == 0:
+            return emission
+        code = emitting_code(volumes, inside)
+        if code == 0:
+            return emission
+        cell = cell_at(volumes, code, point.position)
+        if cell < 0:
+            return emission
+        way = point.position - seen.point.position
+        pdf = cell_pdf(table.lights[cell], wp.dot(way, way)) * selection_pdf(table, seen.point, cell)
+        return hit_weight(seen.pdf, pdf) * emission
+
+    return weighed
+
+
+@functools.cache
+def make_weighed_constant(weighed: wp.Function) -> wp.Function:
+    """Function (volumes, table, seen: Seen, inside: vec4i, begin: ShadingPoint, m: Coefficients, length: float, stream:
+    uint32) -> vec3: what a medium that is the same everywhere sends to the begin of a piece of a ray of `length` [m],
+    weighed; an estimate by `POINTS` points [W/(m² sr)].
+    """
+
+    @wp.func
+    def weighed_constant(
+        volumes: VolumeData,
+        table: LightTable,
+        seen: Seen,
+        inside: wp.vec4i,
+        begin: ShadingPoint,
+        m: Coefficients,
+        length: float,
+        stream: wp.uint32,
+    ) -> wp.vec3:
+        own = mix_bits(stream + wp.uint32(wp.static(EMISSION_STREAM)))
+        shares = wp.vec3(1.0 / 3.0)
+        point = begin
+        total = wp.vec3(0.0)
+        k = int(0)
+        while k < wp.static(POINTS):
+            along = (float(k) + stream_number(own, wp.uint32(2 * k))) / wp.static(float(POINTS))
+            found = lit_length(
+                m.extinction, shares, length, Sought(), wp.vec2(stream_number(own, wp.uint32(2 * k + 1)), along)
+            )
+            if found[1] > 0.0:
+                point.position = begin.position - found[0] * begin.incoming
+                light = weighed(volumes, table, seen, inside, point, m.emission)
+                total += wp.cw_mul(light, passes(m.extinction, found[0])) / found[1]
+            k += 1
+        return total / wp.static(float(POINTS))
+
+    return weighed_constant
