@@ -41,6 +41,8 @@ SCATTERING = tuple(k for k in ClosureKind if k not in (ClosureKind.EMISSION, Clo
 PATH_HISTORY_OPS = frozenset(("path_history", "portal_depth"))
 # Ops by which a point of a volume may differ with the way that a ray came there
 _OPS_OF_WAYS = PATH_HISTORY_OPS | {"light_path", "ray_length"}
+# Facets through which a transparent film shows, where it is asked for
+_SEEN_THROUGH = {ClosureKind.GLASS, ClosureKind.REFRACTION, ClosureKind.SHEET}
 # Passes that are no features of a scene: that which every film has, and those that counters fill
 _PASSES_OF_OTHERS = ("Combined", *COST_PASSES, SAMPLE_COUNT)
 
@@ -292,7 +294,10 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
         smooth_normals=any(scene.meshes[i].corner_normals is not None for i in used_meshes),
         curves=any(scene.meshes[i].radii is not None and len(scene.meshes[i].triangles) > 0 for i in used_meshes),
         film_transparent=scene.frame.transparent,
-        film_glass=surfaces and scene.frame.transparent and scene.frame.glass_roughness is not None,
+        film_glass=surfaces
+        and scene.frame.transparent
+        and scene.frame.glass_roughness is not None
+        and not _SEEN_THROUGH.isdisjoint(kinds),
         passes=tuple(scene.frame.passes),
         sample_sequence=settings.sample_sequence,
         nee=settings.nee,

@@ -180,6 +180,15 @@ def test_features_that_are_left_out_are_named():
     assert not {"closure diffuse", "light point", "surfaces", "shadow rays"} & set(left_out)
 
 
+def test_films_that_show_through_glass_need_glass():
+    frame = Frame(4, 4, transparent=True, glass_roughness=0.1)
+    for kind, expected in ((ClosureKind.DIFFUSE, False), (ClosureKind.GLASS, True), (ClosureKind.REFRACTION, True)):
+        scene = scenes.scene(
+            [(scenes.plane(), scenes.IDENTITY, scenes.material(Closure(kind, (1.0,) * 3)))], frame=frame
+        )
+        assert derive_features(scene, RenderSettings()).film_glass == expected
+
+
 def test_kinds_count_by_node_and_not_by_value():
     """A slider at 0 leaves the kind among the features, so that moving it compiles nothing."""
     surface = scenes.material(Closure(ClosureKind.DIFFUSE, (1, 1, 1)), kinds=(ClosureKind.DIFFUSE, ClosureKind.GLASS))

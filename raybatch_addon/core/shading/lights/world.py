@@ -31,8 +31,8 @@ class WorldTable:
 
     width: int  # texels around
     height: int  # texels from +Z to -Z
-    row_first: wp.array(dtype=wp.uint32)  # begin of each row's interval of [0, 2^32), [height]
-    texel_first: wp.array(dtype=wp.uint32)  # begin of each texel's interval within its row, [height * width]
+    # begin of each row's interval of [0, 2^32), then of each texel's within its row; [height + height * width]
+    first: wp.array(dtype=wp.uint32)
     sun: SunCone  # of whose light the texels know nothing
 
 
@@ -179,11 +179,11 @@ def build_world_table(light: np.ndarray, device: wp.Device) -> WorldTable:
     rows = share.sum(1) * (np.cos(edges[:-1]) - np.cos(edges[1:]))
     table = WorldTable()
     table.width, table.height = width, height
-    table.row_first = wp.array(fixed_point_cdf(rows), dtype=wp.uint32, device=device)
-    texels = np.empty((height, width), np.uint32)
-    for row in range(height):
-        texels[row] = fixed_point_cdf(share[row])
-    table.texel_first = wp.array(texels.ravel(), dtype=wp.uint32, device=device)
+    first = np.empty(height + height * width, np.uint32)
+    first[:height] = fixed_point_cdf(rows)
+    for row, texels in enumerate(first[height:].reshape(height, width)):
+        texels[:] = fixed_point_cdf(share[row])
+    table.first = wp.array(first, dtype=wp.uint32, device=device)
     return table
 
 
@@ -256,14 +256,13 @@ def texel_direction(table: WorldTable, row: int, column: int, u: wp.vec2) -> wp.
 def _sample_texels(table: WorldTable, u: wp.vec2) -> WorldDirection:
     bits_row = wp.uint32(u[0] * wp.static(2.0**24)) << wp.uint32(8)
     bits_column = wp.uint32(u[1] * wp.static(2.0**24)) << wp.uint32(8)
-    row = _find(table.row_first, 0, table.height, bits_row)
-    of_row = _probability(table.row_first, 0, table.height, row)
-    begin = row * table.width
-    column = _find(table.texel_first, begin, table.width, bits_column)
-    of_column = _probability(table.texel_first, begin, table.width, column)
+    row = _find(table.first, 0, table.height, bits_row)
+    of_row = _probability(table.first, 0, table.height, row)
+    begin = table.height + row * table.width
+    column = _find(table.first, begin, table.width, bits_column)
+    of_column = _probability(table.first, begin, table.width, column)
     within_texel = wp.vec2(
-        _within(table.texel_first, begin, column, bits_column, of_column),
-        _within(table.row_first, 0, row, bits_row, of_row),
+        _within(table.first, begin, column, bits_column, of_column), _within(table.first, 0, row, bits_row, of_row)
     )
     result = WorldDirection()
     result.direction = texel_direction(table, row, column, within_texel)
@@ -281,10 +280,8 @@ def _texels_pdf(table: WorldTable, direction: wp.vec3) -> float:
         around += 1.0
     row = wp.clamp(int(down * float(table.height)), 0, table.height - 1)
     column = wp.clamp(int(around * float(table.width)), 0, table.width - 1)
-    begin = row * table.width
-    chance = _probability(table.row_first, 0, table.height, row) * _probability(
-        table.texel_first, begin, table.width, column
-    )
+    begin = table.height + row * table.width
+    chance = _probability(table.first, 0, table.height, row) * _probability(table.first, begin, table.width, column)
     return chance / _texel_solid_angle(table, row)
 
 

@@ -28,7 +28,7 @@ class WorldCache:
     def device_bytes(self) -> int:
         """Memory that it takes on the device [bytes]."""
         world = self._last.made
-        return 4 * (world.table.row_first.size + world.table.texel_first.size) if world else 0
+        return 4 * world.table.first.size if world else 0
 
     def clear(self) -> None:
         """Forget it."""

@@ -143,7 +143,7 @@ def test_a_sun_that_does_not_shine_leaves_its_world_as_it_is():
     plain = sampled_world(WorldLight(light), device)
     assert dark.table.sun.share == 0
     np.testing.assert_array_equal(dark.irradiance, plain.irradiance)
-    np.testing.assert_array_equal(dark.table.texel_first.numpy(), plain.table.texel_first.numpy())
+    np.testing.assert_array_equal(dark.table.first.numpy(), plain.table.first.numpy())
 
 
 def test_a_world_with_a_sun_is_not_even():

@@ -10,7 +10,7 @@ from tests.support.under_test import DEVICE
 def probabilities(light):
     """Probabilities of the texels of a row, given the row: [height, width]."""
     table = build_world_table(light.astype(np.float32), DEVICE)
-    first = table.texel_first.numpy().reshape(light.shape).astype(np.float64)
+    first = table.first.numpy()[light.shape[0] :].reshape(light.shape).astype(np.float64)
     return np.diff(first, axis=1, append=2.0**32) / 2.0**32
 
 
@@ -40,7 +40,7 @@ def test_beside_rays_only_what_is_brighter_than_the_mean_is_aimed_at():
     np.testing.assert_allclose(
         found.irradiance, sampled_world(WorldLight(excess), wp.get_device(DEVICE)).irradiance, rtol=1e-4, atol=1e-6
     )
-    rows = np.diff(found.table.row_first.numpy().astype(np.float64), append=2.0**32)
+    rows = np.diff(found.table.first.numpy()[:16].astype(np.float64), append=2.0**32)
     assert rows[4] > 0.8 * 2**32
 
 

@@ -176,7 +176,7 @@ def test_what_rays_find_as_well_is_not_aimed_at(world, beside_rays, by_excess):
     found = WorldCache().get(scene_of(world), device, lambda: WorldLight(SPOT), beside_rays)
     expected = sampled_world(WorldLight(SPOT), device, beside_rays=by_excess)
     np.testing.assert_array_equal(found.irradiance, expected.irradiance)
-    np.testing.assert_array_equal(found.table.row_first.numpy(), expected.table.row_first.numpy())
+    np.testing.assert_array_equal(found.table.first.numpy(), expected.table.first.numpy())
 
 
 def test_a_world_that_only_cameras_tell_apart_is_left_to_rays_where_it_is_even():

@@ -12,24 +12,33 @@ import warp as wp
 
 from ....scene.description import ClosureKind
 from ....shading.bsdf.bsdf import TRANSMISSION
-from ....shading.bsdf.materials import PASSING_KINDS, ClosureFeatures, ClosureRecord
+from ....shading.bsdf.materials import PASSING_KINDS, BsdfSample, ClosureFeatures, ClosureRecord
 from ...rays import Paths, is_clear
 from ..limits import PathLimits
 
 
 @functools.cache
 def make_note_clear(features: ClosureFeatures) -> wp.Function:
-    """Function (limits, paths, path, bounce, lobe, closure): notes whether `lobe` of `closure`, by which a path
-    scatters after `bounce` scatterings, leaves it clear.
+    """Function (limits, paths, path, bounce, scattered, closures): notes whether the lobe of one of `closures` by
+    which a path scatters after `bounce` scatterings leaves it clear.
     """
     is_glass = features.test(PASSING_KINDS | {ClosureKind.SHEET})
 
     @wp.func
-    def note_clear(limits: PathLimits, paths: Paths, path: int, bounce: int, lobe: int, closure: ClosureRecord):
+    def note_clear(
+        limits: PathLimits,
+        paths: Paths,
+        path: int,
+        bounce: int,
+        scattered: BsdfSample,
+        closures: wp.array(dtype=ClosureRecord),
+    ):
         clear = wp.uint8(0)
-        if (lobe & TRANSMISSION) != 0 and is_glass(closure.kind) and closure.roughness <= limits.glass_roughness:
-            if is_clear(paths, path, bounce):
-                clear = wp.uint8(1)
+        if (scattered.lobe & TRANSMISSION) != 0:  # else there may be no closure
+            closure = closures[scattered.closure]
+            if is_glass(closure.kind) and closure.roughness <= limits.glass_roughness:
+                if is_clear(paths, path, bounce):
+                    clear = wp.uint8(1)
         paths.clear[path] = clear
 
     return note_clear

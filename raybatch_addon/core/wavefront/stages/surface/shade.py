@@ -339,7 +339,7 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
             if wp.static(features.light_links):
                 note_receiver(paths, path, v.receiver)
             if wp.static(features.film_glass):
-                note_clear(limits, paths, path, v.bounce, scattered.lobe, closures[scattered.closure])
+                note_clear(limits, paths, path, v.bounce, scattered, closures)
             seen_by = wp.static(int(Visibility.GLOSSY))
             if (scattered.lobe & TRANSMISSION) != 0:
                 seen_by = wp.static(int(Visibility.TRANSMISSION))
