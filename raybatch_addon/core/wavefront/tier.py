@@ -93,7 +93,7 @@ def _general_features(on_gpu: bool) -> SceneFeatures:
         light_links=not on_gpu,
         shadow_links=not on_gpu,
         light_portals=not on_gpu,
-        volume_lights=not on_gpu,
+        volume_lights=True,
         catchers=not on_gpu,
         volumes=True,
         volume_program=_programs(of_volumes),
