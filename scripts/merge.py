@@ -12,7 +12,7 @@ from typing import IO
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from lib.command import UsageError, run_command
-from lib.output import OutputFolders, leave, print_notes, write_film
+from lib.output import OutputFolders, film_arrays, leave, print_notes, write_film
 
 DESCRIPTION = """\
 Merge checkpoints of ranges of samples to one, bit for bit that of a render of all of them:
@@ -52,7 +52,7 @@ def merge(options: argparse.Namespace, folders: OutputFolders, _standard_output:
     samples = range_of(merged)
     print_notes([f"saved {options.out} with samples {samples.first} to {samples.end - 1} of each pixel"], "merge.py")
     if options.film:
-        write_film(Path(options.film).absolute(), [("", merged.film())])
+        write_film(Path(options.film).absolute(), film_arrays([("", merged.film())]))
     return 0
 
 

@@ -182,6 +182,7 @@ class Session:
         if not film.complete and state.drained:
             film.resume_state = state
         film.statistics = job.statistics(film, state, integrators, modules, device_scene, self.device)
+        job.rendering = None  # it leads back to the job: the film would stay until somebody looks for cycles
         return film
 
     # --- before

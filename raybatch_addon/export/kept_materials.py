@@ -97,6 +97,8 @@ class KeptMaterials(KeptGraphs):
         self, material: bpy.types.Material | None, signature: tuple | None, compiled: Material, notes: list[str]
     ) -> None:
         """Remember what `material` was compiled to (`keep_graph`)."""
-        kept = None if material is None else self.keep_graph(material, signature, compiled, notes)
+        if material is None:
+            return
+        kept = self.keep_graph(material, signature, compiled, notes)
         if kept is not None:
             self.used[material.original.session_uid] = kept

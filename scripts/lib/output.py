@@ -123,16 +123,20 @@ def numbered(path: str, number: int, many: bool) -> Path:
     return (Path(folder) / f"{name[:start]}{sign}{digits}{name[end:]}").absolute()
 
 
-def write_film(path: Path, films: list[tuple[str, Film]]) -> None:
-    """Write the passes of the films of one frame, by view layer; those of the second on are called `layer/pass`, or
+def film_arrays(films: list[tuple[str, Film]]) -> dict[str, Any]:
+    """The passes of the films of one frame, by view layer; those of the second on are called `layer/pass`, or
     `layer/view/pass` where there are several views.
     """
-    import numpy as np  # here alone: scripts that say that the environment is missing run without it
-
     arrays: dict[str, Any] = {}
     for number, (layer, film) in enumerate(films):
         for name, values in film.shown.items():
             arrays[name if number == 0 else f"{layer}/{name}"] = values
+    return arrays
+
+
+def write_film(path: Path, arrays: dict[str, Any]) -> None:
+    """Write `arrays` by name, passes of films, to `path`, whole or not at all."""
+    import numpy as np  # here alone: scripts that say that the environment is missing run without it
 
     def write(temporary: Path) -> None:
         with open(temporary, "wb") as file:

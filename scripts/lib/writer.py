@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
-
-from raybatch_addon.core.errors import RayBatchError
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 
 # Files that wait or are being written: more of them would hold the memory of more pictures than are rendered meanwhile
 WAITING_MOST = 2
@@ -25,14 +23,12 @@ class BackgroundWriter:
         """
         self._waiting.append(self._thread.submit(job))
         while self._waiting and (self._waiting[0].done() or len(self._waiting) > WAITING_MOST):
+            wait([self._waiting[0]])  # which an interrupt may end
             self._waiting.popleft().result()
 
-    def close(self) -> RayBatchError | None:
+    def close(self) -> BaseException | None:
         """Wait until all is written; the first error that nobody was told of."""
         self._thread.shutdown()
         errors = [error for each in self._waiting if (error := each.exception()) is not None]
         self._waiting.clear()
-        for error in errors:
-            if not isinstance(error, RayBatchError):
-                raise error
         return errors[0] if errors else None

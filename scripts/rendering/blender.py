@@ -97,7 +97,7 @@ class BlenderRender:
         except KeyboardInterrupt:
             self._report()
             raise
-        except RayBatchError:
+        except Exception:
             if self._statistics:  # of pictures before the one that failed
                 self._report()
             raise
@@ -162,6 +162,8 @@ class BlenderRender:
                     raise
             if deliveries.failure is not None:
                 raise deliveries.failure
+            if request.renders and not deliveries.are_complete:
+                raise RayBatchError(f"Blender ended the render before all of its {len(frames)} frames were written")
 
     def _render_frames(self, scene: bpy.types.Scene, frames: tuple[int, ...]) -> None:
         if len(frames) > 1 and frames[0] >= FRAME_FIRST:

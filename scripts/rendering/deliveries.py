@@ -4,14 +4,15 @@ while the next frame is rendered.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
-from lib.output import numbered, write_film
+from lib.output import film_arrays, numbered, write_film
 from lib.writer import BackgroundWriter
 
 from raybatch_addon.blender import checkpoints
@@ -62,8 +63,8 @@ class FrameDeliveries:
     """Follows Blender from frame to frame: inside, each that it begins and ends is heard of, and `films` of its view
     layers are those of one frame.
 
-    Blender goes on where what it calls fails, so that an error is kept: `failure`. At the end all files are written;
-    raises `OutputError` for one that could not be, unless there was an error before.
+    Blender goes on where what it calls fails, so that the first error is kept: `failure`. At the end all files are
+    written; raises `OutputError` for one that could not be, unless there was an error before.
     """
 
     def __init__(
@@ -74,7 +75,7 @@ class FrameDeliveries:
         self._picture = files[0].picture
         self._delivered = 0
         self._writer = BackgroundWriter()
-        self.failure: RayBatchError | None = None
+        self.failure: Exception | None = None
 
     def __enter__(self) -> FrameDeliveries:
         self._workshop = Workshop(self._picture.parent if self._picture else Path(tempfile.gettempdir()))
@@ -103,24 +104,38 @@ class FrameDeliveries:
 
     def _begin(self, scene: bpy.types.Scene, *_: object) -> None:
         """Blender begins a frame."""
-        files = self._by_number[scene.frame_current]
-        self._bar.label = files.label
-        self._films.clear()
-        request = self._request
-        checkpoints.asked = AskedCheckpoint(files.checkpoint, request.checkpoint_interval, request.sample_first)
+        with self._keeping_failure():
+            files = self._by_number[scene.frame_current]
+            self._bar.label = files.label
+            self._films.clear()
+            request = self._request
+            checkpoints.asked = AskedCheckpoint(files.checkpoint, request.checkpoint_interval, request.sample_first)
 
     def _end(self, scene: bpy.types.Scene, *_: object) -> None:
-        """Blender has rendered and written a frame."""
-        files = self._by_number[scene.frame_current]
-        try:
+        """Blender has rendered and written a frame. The thread that writes gets arrays of the host alone, since films
+        hold the device's memory, which the next frame needs.
+        """
+        with self._keeping_failure():
+            files = self._by_number[scene.frame_current]
             if files.picture is not None:
                 self._workshop.deliver(files.picture, _NAME)
+            else:
+                self._workshop.clear()
+            heated = [(path, name, self._films[0][1].passes[name][..., 0]) for name, path in files.heat_maps]
+            arrays = film_arrays(self._films) if files.film is not None else {}
+            self._films.clear()
             if files.film is not None:
-                self._writer.write(functools.partial(write_film, files.film, list(self._films)))
-            for name, path in files.heat_maps:
-                self._writer.write(functools.partial(write_heat_map, path, self._films[0][1], name))
+                self._writer.write(functools.partial(write_film, files.film, arrays))
+            for path, name, values in heated:
+                self._writer.write(functools.partial(write_heat_map, path, values, name))
             self._delivered += 1
-        except RayBatchError as error:
-            self.failure = error
-        except OSError as error:
-            self.failure = RayBatchError(f"{files.label}{error}")
+
+    @contextlib.contextmanager
+    def _keeping_failure(self) -> Iterator[None]:
+        """What is raised inside is kept: Blender would print it and go on."""
+        try:
+            yield
+        except Exception as error:
+            if isinstance(error, OSError):
+                error = RayBatchError(f"{self._bar.label}{error}")
+            self.failure = self.failure or error

@@ -69,11 +69,11 @@ def display_pixels(combined: np.ndarray) -> np.ndarray:
     return np.rint(np.concatenate([curve, alpha], axis=-1)[::-1] * 255).astype(np.uint8)
 
 
-def write_heat_map(path: Path, film: Film, name: str) -> None:
-    """Write the pass `name`, of one channel, to the PNG `path`, from black for 0 to bright for its largest finite
-    value; names which that is.
+def write_heat_map(path: Path, values: np.ndarray, name: str) -> None:
+    """Write `values` [height, width] of the pass `name` to the PNG `path`, from black for 0 to bright for its largest
+    finite value; names which that is.
     """
-    pixels, largest = heat_pixels(film.passes[name][..., 0])
+    pixels, largest = heat_pixels(values)
     write_whole(path, lambda temporary: save_png(temporary, pixels))
     print_saved(path, f"{name}, 0 to {largest:.4g}")
 

@@ -8,7 +8,16 @@ from typing import IO
 
 from lib.command import RefusedError, UsageError
 from lib.geometry_files import load_geometry, parse_view
-from lib.output import OutputFolders, described, print_notes, print_saved, print_warnings, write_film, write_json
+from lib.output import (
+    OutputFolders,
+    described,
+    film_arrays,
+    print_notes,
+    print_saved,
+    print_warnings,
+    write_film,
+    write_json,
+)
 
 from raybatch_addon.blender.denoise_library import library_for
 from raybatch_addon.blender.denoising import denoise_film, with_guides
@@ -84,9 +93,9 @@ def render_standalone(request: Request, folders: OutputFolders, bar: ProgressBar
         write_picture(out, film, scene)
         print_saved(out)
     if film_path is not None:
-        write_film(film_path, [("", film)])
+        write_film(film_path, film_arrays([("", film)]))
     for name, path in heat_maps:
-        write_heat_map(path, film, name)
+        write_heat_map(path, film.passes[name][..., 0], name)
     _report(request, film, scene, standard_output)
 
 

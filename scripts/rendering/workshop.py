@@ -47,6 +47,11 @@ class Workshop:
             os.replace(file, target)
             print_saved(target)
 
+    def clear(self) -> None:
+        """Remove what Blender wrote, which nobody wants."""
+        for file in self.folder.iterdir():
+            file.unlink()
+
     def _check_whole(self, file: Path, place: Path | None) -> None:
         """Raise `OutputError` where Blender wrote a part of `file` alone: it does not always say so."""
         end = _ENDS.get(file.suffix.lower(), b"")

@@ -2,6 +2,9 @@
 
 import json
 import os
+import tempfile
+import threading
+import weakref
 
 import numpy as np
 import pytest
@@ -89,6 +92,86 @@ def test_frames_before_the_first_of_blenders_animations(blend, tmp_path):
     done = call_script("render.py", blend, "--frames=-2..0", "-o", out / "p.png")
     assert done.returncode == 0, done.stderr
     assert names(out) == ["p-001.png", "p-002.png", "p0000.png"]
+
+
+def test_pictures_that_nobody_wants_go_after_each_frame(blend, tmp_path, monkeypatch):
+    there = []
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(frame, "film_listeners", [lambda *_: there.append(len([*tmp_path.glob(".raybatch-*/*")]))])
+    done = call_script("render.py", blend, "--frames", "1..4", "--film", tmp_path / "out" / "f.npz")
+    assert done.returncode == 0, done.stderr
+    assert len(there) == 4 and max(there) <= 1
+
+
+@pytest.mark.parametrize("resumed", [False, True])
+def test_the_thread_that_writes_holds_no_film(blend, tmp_path, resumed):
+    """A film keeps its sums on the device: they are asked for before the next frame begins, and by no other thread."""
+    from raybatch_addon.core.film import Film
+
+    out, films, alive, threads = tmp_path / "out", [], [], []
+    writing = threading.Event()
+    fetched, written = Film._fetched, deliveries_module().write_film
+
+    def listen(_layer, _scene, film):
+        films.append(weakref.ref(film))
+
+    def write(path, arrays):
+        writing.wait(20)
+        assert all(type(each) is np.ndarray for each in arrays.values())
+        written(path, arrays)
+
+    def begin(_job):
+        alive.append(sum(each() is not None for each in films))
+        if len(alive) == 3:
+            writing.set()
+
+    def fetch(film):
+        threads.append(threading.current_thread())
+        return fetched(film)
+
+    arguments = [blend, "--frames", "1..3", "--film", out / "f.npz"]
+    arguments += ["--checkpoint", tmp_path / "kept" / "c"] * resumed
+    if resumed:
+        assert call_script("render.py", *arguments, "--set", "sample_count=2").returncode == 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Film, "_fetched", fetch)
+        patch.setattr(deliveries_module(), "write_film", write)
+        patch.setattr(frame, "begin_frame", begin)
+        patch.setattr(frame, "film_listeners", [listen])
+        done = call_script("render.py", *arguments, "--set", "sample_count=3")
+    assert done.returncode == 0, done.stderr
+    assert alive == [0, 0, 0]
+    assert {*threads} <= {threading.main_thread()} and bool(threads) >= resumed
+
+
+def deliveries_module():
+    from rendering import deliveries
+
+    return deliveries
+
+
+@pytest.mark.parametrize("failing", ["write_film", "film_arrays", "AskedCheckpoint"])
+def test_an_error_of_any_kind_ends_the_frames(blend, tmp_path, monkeypatch, failing):
+    """Blender prints what its handlers raise, and would go on."""
+    deliveries = deliveries_module()
+
+    def fail(*_):
+        raise MemoryError("no memory is left")
+
+    monkeypatch.setattr(deliveries, failing, fail)
+    rendered = []
+    monkeypatch.setattr(frame, "film_listeners", [lambda *_: rendered.append(1)])
+    with pytest.raises(MemoryError, match="no memory is left"):
+        call_script("render.py", blend, "--frames", "1..9", "--film", tmp_path / "out" / "f.npz")
+    assert (failing != "AskedCheckpoint") <= len(rendered) < 9
+
+
+def test_frames_that_blender_leaves_out_are_an_error(blend, tmp_path, monkeypatch):
+    deliveries = deliveries_module()
+    monkeypatch.setattr(deliveries.FrameDeliveries, "are_complete", False)
+    done = call_script("render.py", blend, "--frames", "1..2", "-o", tmp_path / "out" / "p.png")
+    assert done.returncode == 1
+    assert "Blender ended the render before all of its 2 frames were written" in done.stderr.splitlines()[-1]
 
 
 @pytest.mark.parametrize("option", ["--film", "--heat-map"])

@@ -25,7 +25,7 @@ from .refit import NodeLevels, RefitResult, node_levels, refit_boxes, refit_quan
 from .refit_part import WholeBoxes, is_part, refit_part
 from .segments import place_primitives, stand_ins
 
-# A refitted tree is built anew when it costs rays so many times what it did when it was built (Wald, Boulos and Shirley
+# A refitted tree is built anew when it costs rays so many times the least that it did (Wald, Boulos and Shirley
 # 2007 find 1.5 to 2 usual; but a build takes as long as some thirty refits, and a frame's rays mostly longer)
 SAH_GROWTH_MAX = 1.4
 
@@ -74,7 +74,7 @@ class MeshTree:
     node_count: int
     depth: int
     sah: float  # expected cost of a ray that meets the root's box, in node steps
-    sah_built: float  # the same when the tree was built
+    sah_built: float  # the least of it since the tree was built
     split: bool  # some triangles are listed more than once
     splits: bool  # triangles were split where that pays for the positions that it has
     level_first: list[int] | None  # as `NodeLevels.first`, of nodes that lie level by level
@@ -233,7 +233,10 @@ class MeshTrees:
         if boxed:
             place_primitives(mesh.triangles, self.layout, *own)
         mesh.centre, mesh.box, mesh.sah, mesh.splits = result.centre, result.box, result.sah, False
-        return result.sah <= mesh.sah_built * (1.0 if mesh.split else SAH_GROWTH_MAX)
+        if result.sah > mesh.sah_built * (1.0 if mesh.split else SAH_GROWTH_MAX):
+            return False
+        mesh.sah_built = min(mesh.sah_built, result.sah)
+        return True
 
     def _refit_boxes(
         self, mesh: MeshTree, positions: wp.array, triangles: wp.array, moved: Sequence[tuple[int, int]] | None

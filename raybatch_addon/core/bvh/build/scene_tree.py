@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -101,21 +101,23 @@ def refit_scene_tree(
     visibility: np.ndarray,
     moved: Sequence[int],
     device: wp.Device,
+    remade: Collection[int] = (),
 ) -> None:
-    """Make `built` the tree of another frame, which has the same triangles, instances and visibility; it cannot be used
-    if this raises.
+    """Make `built` the tree of another frame, which has as many triangles, and the same instances and visibility; it
+    cannot be used if this raises.
 
-    Mesh trees whose vertices moved are refitted in place; those that became too bad are built anew. The top level
-    always is.
+    Mesh trees whose vertices moved are refitted in place; those that became too bad, or are over another mesh, are
+    built anew. The top level always is.
 
     Args:
         flat, geometry: the frame, on the host and on the device.
         visibility: as when the tree was built.
-        moved: indices in `mesh_parts` of the meshes with new positions.
+        moved: indices in `mesh_parts` of the meshes with new positions or triangles.
+        remade: those of them that are other meshes than before.
     """
     start = time.perf_counter()
     trees = MeshTrees(flat, geometry, device, built.layout, built.splits_moving)
-    worse = [i for i in moved if not trees.refit(built.meshes[i])]
+    worse = [i for i in moved if i in remade or not trees.refit(built.meshes[i])]
     parts = mesh_parts(flat)
     if worse:
         # before new ones are built: their memory is free where no other tree shares it

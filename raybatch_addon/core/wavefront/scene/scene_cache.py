@@ -316,13 +316,14 @@ def _follow(last: Kept, fingerprint: Fingerprint, flat: FlatGeometry, scene: Sce
     if fingerprint != before:
         if not own or fingerprint.topology != before.topology:
             return False
+        remade = fingerprint.remade_since(before, last.geometry, flat)
         update_geometry(last.geometry, with_motion(flat), scene, fingerprint.triangles != before.triangles)
         was = zip(before.triangles, before.positions, strict=True)
         now = zip(fingerprint.triangles, fingerprint.positions, strict=True)
         moved = [i for i, (old, new) in enumerate(zip(was, now, strict=True)) if old != new]
         if moved or fingerprint.transforms != before.transforms:
             last.treelets = last.cut = None  # copies of what is changed now
-            refit_scene_tree(last.built, flat, last.geometry, scene.instances.visibility, moved, device)
+            refit_scene_tree(last.built, flat, last.geometry, scene.instances.visibility, moved, device, remade)
             return True
     if own:
         last.built.note(0, 0, start)

@@ -151,6 +151,56 @@ def test_a_tree_that_became_bad_is_built_anew(layout, copies):
     assert_same(film, opened(layout).render(soup_scene(mixed, triangles, copies)))
 
 
+def quads(count: int, flipped: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and triangles of count x count quads, the first `flipped` of them cut along their other diagonal."""
+    x, y = np.meshgrid(np.linspace(-1, 1, count + 1), np.linspace(-1, 1, count + 1))
+    a = (np.arange(count)[:, None] * (count + 1) + np.arange(count)).ravel()
+    b, c, d = a + 1, a + count + 2, a + count + 1
+    cut = np.stack([a, b, c, a, c, d], 1)
+    cut[:flipped] = np.stack([a, b, d, b, c, d], 1)[:flipped]
+    positions = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], 1)
+    return positions.astype(np.float32), cut.reshape(-1, 3).astype(np.int32)
+
+
+@layouts
+@pytest.mark.parametrize("copies", [1, 2], ids=["baked", "instances"])
+def test_another_mesh_of_as_many_triangles_is_built_anew(layout, copies):
+    """What a tree of triangles in disorder costs is no measure of a tidy one."""
+    tidy, triangles = quads(30)
+    generator = np.random.default_rng(2)
+    disorder = generator.uniform(-1, 1, tidy.shape).astype(np.float32), generator.permuted(triangles, axis=0)
+    session = opened(layout)
+    bad = session.render(soup_scene(*disorder, copies)).statistics["tree"]
+    film = session.render(soup_scene(tidy, triangles, copies))
+    tree, fresh = film.statistics["tree"], opened(layout).render(soup_scene(tidy, triangles, copies))
+    assert counts(tree) == (1, 0)
+    assert tree["sah"] == tree["sah_built"] == fresh.statistics["tree"]["sah"] < 0.2 * bad["sah"]
+    assert_same(film, fresh)
+
+
+@layouts
+@pytest.mark.parametrize("copies", [1, 2], ids=["baked", "instances"])
+def test_a_mesh_of_which_few_quads_are_cut_anew_is_refitted(layout, copies):
+    session = opened(layout)
+    session.render(soup_scene(*quads(30), copies))
+    film = session.render(soup_scene(*quads(30, flipped=20), copies))
+    assert counts(film.statistics["tree"]) == (0, 1)
+    assert_same(film, opened(layout).render(soup_scene(*quads(30, flipped=20), copies)))
+
+
+@layouts
+def test_a_tree_is_measured_by_the_best_that_it_was(layout):
+    """Triangles that shrink and grow again: their tree costs no more than at first, and could cost far less."""
+    positions, triangles = wide_trees.soup(500)
+    middle = np.repeat(positions.reshape(-1, 3, 3).mean(1), 3, axis=0)
+    large = (middle + 5 * (positions - middle)).astype(np.float32)
+    session, work = opened(layout), []
+    for each in (large, positions, large):
+        tree = session.render(soup_scene(each, triangles)).statistics["tree"]
+        work.append(counts(tree))
+    assert work == [(1, 0), (0, 1), (1, 0)]
+
+
 @pytest.fixture
 def splits_pay(monkeypatch):
     """Splits are worth it however short the render is."""
