@@ -138,7 +138,7 @@ def _object_name(scene: Scene, instance: int) -> str:
 
 def _is_usable(light: Light, warnings: list[str]) -> bool:
     numbers = [
-        *np.ravel(light.transform),
+        *np.asarray(light.transform).ravel().tolist(),
         *light.emission,
         *light.size,
         *light.spot_scale,
@@ -149,7 +149,7 @@ def _is_usable(light: Light, warnings: list[str]) -> bool:
     ]
     for asked in (light.object_transform, light.info, light.attributes):  # values that its program reads
         numbers += [] if asked is None else np.ravel(asked).tolist()
-    if np.all(np.isfinite(numbers)) and min(light.emission) >= 0:
+    if all(map(math.isfinite, numbers)) and min(light.emission) >= 0:
         return True
     warnings.append(
         f"light “{light.name}” has a place, size or power that is not finite, or a negative power: it is not rendered"
