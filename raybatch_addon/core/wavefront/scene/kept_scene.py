@@ -5,7 +5,8 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
-from enum import Enum
+from enum import Enum, auto
+from itertools import chain
 from operator import attrgetter
 from typing import Any
 
@@ -118,16 +119,25 @@ def scene_key(scene: Scene) -> tuple[list[np.ndarray], tuple] | None:
         if kind in _PLAIN:
             return value
         if isinstance(value, (tuple, list)):
-            return tuple(value) if _PLAIN.issuperset(map(type, value)) else tuple(map(values_of, value))
+            return values_of_all(tuple(value))
         if kind is np.ndarray and not value.dtype.hasobject:
             is_kept = is_frozen(value)
             (frozen if is_kept else loose).append(value)
-            return is_kept
+            return _Array.FROZEN if is_kept else _Array.LOOSE
         if is_dataclass(kind):
             return kind, values_of(_reader(kind)(value))
         if isinstance(value, _UNCHANGING):
             return value
         raise _UnknownThing
+
+    def values_of_all(parts: tuple) -> tuple:
+        kinds = set(map(type, parts))
+        if kinds <= _PLAIN or (kinds == {tuple} and _PLAIN.issuperset(map(type, chain.from_iterable(parts)))):
+            return parts
+        if len(kinds) == 1 and is_dataclass(kind := kinds.pop()):
+            # field by field, because there may be many steps of programs
+            return kind, len(parts), tuple(map(values_of, zip(*map(_reader(kind), parts), strict=True)))
+        return tuple(map(values_of, parts))
 
     try:
         values = values_of(scene)
@@ -136,6 +146,13 @@ def scene_key(scene: Scene) -> tuple[list[np.ndarray], tuple] | None:
     if sum(each.nbytes for each in loose) > _LOOSE_MOST:
         return None
     return frozen, (values, digest_of(loose))
+
+
+class _Array(Enum):
+    """The place of an array among values."""
+
+    FROZEN = auto()
+    LOOSE = auto()
 
 
 class _UnknownThing(Exception):
