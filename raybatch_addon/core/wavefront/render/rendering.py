@@ -231,9 +231,9 @@ class Rendering:
             integrator.patience = math.inf if events.keeper else None
         threads = [threading.Thread(target=work, args=(i,), daemon=True) for i in self._integrators]
         working = len(threads)
+        look()  # before there is a path: it may have been cancelled while the scene was built
         if self._is_short():
             threads = []
-            look()
             work(self._integrators[0], *self._alone(look, stop))
         for thread in threads:
             thread.start()

@@ -1,14 +1,18 @@
 """Short renders of a scene that was rendered before: the calling thread does them itself, and hears no less."""
 
 import threading
+from concurrent.futures import wait
+from types import SimpleNamespace
 
 import pytest
 
+from raybatch_addon.core.ahead import prepare
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.integrator import TileIntegrator
 from raybatch_addon.core.wavefront.render import rendering
 from raybatch_addon.core.wavefront.render.rendering import Rendering
+from raybatch_addon.core.wavefront.scene.device_scene import DeviceScene
 from tests.support import scenes
 from tests.support.under_test import DEVICE
 
@@ -92,3 +96,28 @@ def test_only_workers_that_were_fast_before_have_no_thread(threads, monkeypatch)
     del threads[:]
     session.render(scene, SETTINGS)
     assert main not in threads, "it takes longer than that"
+
+
+@pytest.mark.parametrize("thread_count", [1, 3])
+def test_a_cancel_amid_the_build_begins_no_path(monkeypatch, thread_count):
+    """However soon the build is over: nobody asks for a cancel behind it but the render itself."""
+    pressed, real = [], DeviceScene.build
+
+    def build(*args, **options):
+        made = real(*args, **options)
+        pressed.append(True)
+        return made
+
+    def start(thread):
+        begin(thread)
+        thread.join(0.2)  # it gets as far as it can
+
+    session, scene = Session(DEVICE), scenes.mixed(FRAME)
+    session.render(scene, SETTINGS.replace(thread_count=thread_count, bounce_max=1))  # kernels are there
+    monkeypatch.setattr(DeviceScene, "build", staticmethod(build))
+    monkeypatch.setattr(prepare, "is_awaited", lambda future, *_: wait([future]).done)
+    begin = threading.Thread.start
+    slow = SimpleNamespace(Thread=type("Slow", (threading.Thread,), {"start": start}), Event=threading.Event)
+    monkeypatch.setattr(rendering, "threading", slow)
+    film = session.render(scene, SETTINGS.replace(thread_count=thread_count), cancelled=lambda: bool(pressed))
+    assert pressed and not film.complete and film.sample_total == 0
