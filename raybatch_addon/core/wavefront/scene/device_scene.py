@@ -186,7 +186,7 @@ class DeviceScene:
         """The tree, where it lies beyond memory."""
         return self.built if isinstance(self.built, PagedTree) else None
 
-    @property
+    @functools.cached_property
     def own_bytes(self) -> int:
         """Memory on the device of what a `SceneCache` does not keep for the next scene [bytes]."""
         data, volumes = self.data, self.volumes
