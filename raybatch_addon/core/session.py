@@ -68,8 +68,8 @@ class Session:
         self._page_folder = Path(page_folder) if page_folder else warp_cache_folder() / "pages"
         self.device = find_device(device or self.settings.device)
         self.layout = layout_for(self.device)  # of trees
-        self._cache = SceneCache()
         self._kept = KeptScene()
+        self._cache = SceneCache(lambda: self._kept.device_bytes)
         self._tier_changes = TierChanges(self.device, compile_between_renders)
         self._building: Future | None = None  # the end of the last build
 
@@ -208,7 +208,7 @@ class Session:
         checked = prepared_scene(whole if displaced is None else displaced, settings)
         check_samples(settings, sample_first)
         size = GeometrySize.of(checked)
-        free = self._cache.free_for_geometry(checked.images, self.device) + self._kept.device_bytes
+        free = self._cache.free_for_geometry(checked.images, self.device)
         memory = Memory(size.needed(self.layout, self.device), free, free_memory(wp.get_device("cpu")))
         samples = settings.sample_count * checked.frame.pixel_count
         features = replace(derive_features(checked, settings), adaptive=pixels_can_end(settings, sample_first))

@@ -5,6 +5,7 @@ import pytest
 import warp as wp
 
 from raybatch_addon.core.rays import RayList
+from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.tracers import choose
 from raybatch_addon.core.wavefront.tracers.interface import UnbatchedTracer
@@ -46,7 +47,7 @@ def test_rays_that_wait_do_not_change_the_film(session, monkeypatch, features):
     settings = RenderSettings(sample_count=4, ray_count=300, bounce_max=5, roulette_bounce=1)
     expected = session.render(scenes.mixed(frame), settings).passes
     monkeypatch.setattr(choose, "UnbatchedTracer", HesitantTracer)
-    held = session.render(scenes.mixed(frame), settings)
+    held = Session(session.device.alias).render(scenes.mixed(frame), settings)
     assert HesitantTracer.waited > 1000
     for name, values in expected.items():
         assert np.array_equal(held.passes[name], values), name

@@ -77,14 +77,16 @@ class Preparation:
         if found is not None and is_free and (names := loaded_modules(self._kernels, self._device)) is not None:
             self.build = None
             return found, names  # no thread is begun
-        modules, built = begin_aside(self._load), begin_aside(functools.partial(self._build, build))
+        made_by = build if found is None else lambda: found
+        modules, built = begin_aside(self._load), begin_aside(functools.partial(self._build, made_by))
         self.build = end_of(built)
         try:
             if not all(is_awaited(each, cancelled, show) for each in (built, modules)):
                 return None, []
             made, names = built.result(), modules.result()
             self.build = None
-            kept.keep(asked, made)
+            if found is None:
+                kept.keep(asked, made)
             self.warnings = take_notes()  # only of a render that goes on: the next one reports what this one cannot
             return made, names
         except CompileStoppedError:  # the session was closed

@@ -46,6 +46,20 @@ def upload_struct(value: Any, device: wp.Device) -> wp.array:
     return _copied(ctypes.addressof(value.__ctype__()), 1, value._cls, device)
 
 
+def arrays_in(value: Any) -> dict[int, int]:
+    """Bytes of all arrays in `value` by their addresses: in Warp's structs, in trees, and in lists of such things."""
+    if isinstance(value, wp.array):
+        return {value.ptr: int(value.capacity)} if value.capacity else {}
+    if isinstance(value, wp.Bvh):
+        inner = [value.lowers, value.uppers]
+    elif isinstance(value, list):
+        inner = value
+    else:
+        struct = getattr(value, "_cls", None)
+        inner = [getattr(value, name) for name in struct.vars] if struct is not None else []
+    return {address: size for each in inner for address, size in arrays_in(each).items()}
+
+
 def _copied(address: int, count: int, struct: Any, device: wp.Device) -> wp.array:
     made = wp.empty(count, dtype=struct, device=device)
     if count:

@@ -87,10 +87,9 @@ class TileIntegrator:
         # of each path, for the counters
         self._bounce, self._pixel = (wp.zeros(count if counting else 0, dtype=int, device=device) for _ in range(2))
         self._timer = self._counters.timer if self._counters else NoTimer()
-        self._order = None
+        self._order = self._hit_order = None
         if scene.tree and (sort_mode := tracing.sort_mode(settings)) != "OFF":
             self._order = RayOrder(sort_mode, count, scene.box, device, self._timer)
-        self._hit_order = None
         if key := scene.hits_sorted_by(settings):
             data = scene.data
             self._hit_order = HitOrder(count, key, data.geometry, data.materials.records, device, self._timer)
@@ -111,6 +110,7 @@ class TileIntegrator:
         self._filter = wp.array(filter_table(settings.pixel_filter, settings.filter_width), dtype=float, device=device)
         self._launches = RepeatedLaunches(device)
         self.path_count = count  # slots: paths alive at once at most
+        self.seconds_a_path = math.inf  # of the last tile; inf: there was none
         self.begin(settings)
 
     def begin(self, settings: RenderSettings) -> None:

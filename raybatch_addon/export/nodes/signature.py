@@ -15,6 +15,8 @@ from typing import Any
 
 import bpy
 
+from ...core.attributes import attributes_of
+
 # Structs within structs that are followed; Blender's own are fewer
 _DEPTH_MOST = 8
 # Properties that lead back, or say how a node is drawn
@@ -31,8 +33,8 @@ class NoSignature(Exception):
 class _Reader:
     """Properties of a type of Blender's structs, by how they are read."""
 
-    plain: Callable[[Any], Any] | None  # numbers, texts and choices, all with one call
-    arrays: Callable[[Any], Any] | None
+    plain: Callable[[Any], tuple]  # numbers, texts and choices, all with one call
+    arrays: Callable[[Any], tuple]
     pointers: tuple[str, ...]
     collections: tuple[str, ...]
 
@@ -97,8 +99,7 @@ class Signatures:
             raise NoSignature
         kind: type = type(struct)
         reader = _reader(kind)
-        plain = reader.plain(struct) if reader.plain else ()
-        arrays = reader.arrays(struct) if reader.arrays else ()
+        plain, arrays = reader.plain(struct), reader.arrays(struct)
         inner: list[Any] = []
         for name in reader.pointers:
             value = getattr(struct, name)
@@ -149,12 +150,4 @@ def _reader(kind: type[bpy.types.bpy_struct]) -> _Reader:
             arrays.append(each.identifier)
         else:
             plain.append(each.identifier)
-    return _Reader(_getter(plain), _getter(arrays), tuple(pointers), tuple(collections))
-
-
-def _getter(names: list[str]) -> Callable[[Any], tuple] | None:
-    """What reads all attributes `names` of an object, as a tuple."""
-    if len(names) == 1:
-        one = attrgetter(names[0])
-        return lambda struct: (one(struct),)
-    return attrgetter(*names) if names else None
+    return _Reader(attributes_of(plain), attributes_of(arrays), tuple(pointers), tuple(collections))

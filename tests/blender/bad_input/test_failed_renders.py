@@ -46,6 +46,7 @@ def test_cuda_where_there_is_none(lit, tmp_path, monkeypatch):
 def test_the_ray_count_is_reduced_when_memory_is_short(lit, films, monkeypatch):
     lit.raybatch.sample_count = 64
     render()
+    sessions.close_all()  # what is made for a scene serves its next render too
     monkeypatch.setattr(workers, "free_memory", lambda device: 4 << 20)
     (warning,) = render()
     assert "ray_count was reduced from" in warning and "memory" in warning
@@ -88,6 +89,7 @@ def test_an_exception_writes_nothing_over_what_is_there(lit, monkeypatch, tmp_pa
     path = tmp_path / ("kept" + lit.render.file_extension)
     path.write_bytes(b"what was there")
     lit.render.filepath = str(path)
+    sessions.close_all()  # nothing of the scene is there yet
     owner, name = PLACES[place]
     if owner is None:
         watch_engines(monkeypatch, **{name: fail})
@@ -170,6 +172,7 @@ def displace_and_fill(ball: bpy.types.Object) -> None:
 def test_a_cancel_does_not_wait_for_what_takes_long(lit, monkeypatch, films, stage):
     """Work that is under way goes on by itself; the render does not wait for it, and the next one begins behind it."""
     displace_and_fill(next(each for each in lit.objects if each.type == "MESH"))
+    sessions.close_all()  # nothing of the scene is there yet
     entered, release, finished = threading.Event(), threading.Event(), threading.Event()
     owner, name = LONG[stage]
     whole = getattr(owner, name)

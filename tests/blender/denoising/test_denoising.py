@@ -4,7 +4,7 @@ import bpy
 import numpy as np
 import pytest
 
-from raybatch_addon.blender import frame
+from raybatch_addon.blender import frame, sessions
 from raybatch_addon.blender.reports import last
 from raybatch_addon.core.measure.parts import PARTS
 from tests.blender.features.compare import add_world
@@ -141,6 +141,7 @@ def test_a_cancel_ends_denoising_and_keeps_the_noisy_picture(room, monkeypatch):
 
 def test_all_parts_of_a_denoised_render_are_reported_and_add_up(room):
     room.raybatch.denoise, room.raybatch.error_estimate = "ON", "OFF"
+    sessions.close_all()  # nothing of the scene is there yet
     reported = rendered_film(room).statistics["seconds"]
     named = [part for part in PARTS if part in reported]
     assert named == [part for part in PARTS if part not in ("checkpoint", "displacement", "wait", "volumes")]

@@ -65,4 +65,9 @@ class ChoiceTable:
 
 def choice_tree_bytes(choice: ChoiceTable) -> int:
     """Memory that the tree of `choice` takes on its device [bytes]."""
-    return sum(int(each.capacity) for each in (choice.blocks, choice.below, choice.above, choice.leaf))
+    return sum(int(each.capacity) for each in choice_tree(choice))
+
+
+def choice_tree(choice: ChoiceTable) -> list[wp.array]:
+    """The arrays of `choice` that are its tree."""
+    return [choice.blocks, choice.below, choice.above, choice.leaf]

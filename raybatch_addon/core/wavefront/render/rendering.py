@@ -30,8 +30,6 @@ from .summary import ray_totals
 POLL_SECONDS = 0.05
 # A cancelled render that is kept waits this long for the rays that are under way, without which it cannot go on [s]
 KEPT_PATIENCE = 5.0
-# Most paths of a round that the calling thread renders by itself: to begin a thread takes as long as they do
-_PATHS_ALONE = 4096
 
 
 class StateKeeper(Protocol):
@@ -209,12 +207,16 @@ class Rendering:
                 is_kept = True
                 stop.set()
 
-        def work(integrator: TileIntegrator, is_stopped: Callable[[], bool] = stop.is_set) -> None:
+        def work(
+            integrator: TileIntegrator,
+            is_stopped: Callable[[], bool] = stop.is_set,
+            finish: Callable[[FinishedTile], None] = results.put,
+        ) -> None:
             try:
                 while not stop.is_set():
                     halves = todo.get_nowait()
                     left = state.items_left_of(halves)
-                    results.put(self._render_tile(integrator, halves, is_stopped))
+                    finish(self._render_tile(integrator, halves, is_stopped))
                     if 0 < state.items_left_of(halves) < left:  # one that was stopped waits for who resumes it
                         todo.put(halves)
             except queue.Empty:
@@ -229,10 +231,10 @@ class Rendering:
             integrator.patience = math.inf if events.keeper else None
         threads = [threading.Thread(target=work, args=(i,), daemon=True) for i in self._integrators]
         working = len(threads)
-        if working == 1 and self._steps is None and state.items_open <= _PATHS_ALONE:
+        look()  # before there is a path: it may have been cancelled while the scene was built
+        if self._is_short():
             threads = []
-            look()
-            work(self._integrators[0], self._alone(look, stop))
+            work(self._integrators[0], *self._alone(look, stop))
         for thread in threads:
             thread.start()
         try:
@@ -255,32 +257,53 @@ class Rendering:
                 thread.join()
         return is_kept and not is_cancelled
 
-    def _alone(self, look: Callable[[], None], stop: threading.Event) -> Callable[[], bool]:
-        """Whether a worker on the calling thread is to stop: it looks up now and then as that thread does otherwise."""
+    def _is_short(self) -> bool:
+        """Whether the one worker is through before the calling thread would look up, by what it took for a tile of the
+        same scene: then to begin a thread may take as long as that.
+        """
+        if len(self._integrators) > 1 or self._steps is not None:
+            return False
+        return self._state.items_open * self._integrators[0].seconds_a_path < POLL_SECONDS
+
+    def _alone(
+        self, look: Callable[[], None], stop: threading.Event
+    ) -> tuple[Callable[[], bool], Callable[[FinishedTile], None]]:
+        """For a worker on the calling thread: whether it is to stop, and what takes its tiles. It looks up behind each
+        tile, and now and then as that thread does otherwise.
+        """
         looked = time.perf_counter()
 
-        def is_stopped() -> bool:
+        def look_up() -> None:
             nonlocal looked
+            look()
+            self._report_progress()
+            looked = time.perf_counter()
+
+        def is_stopped() -> bool:
             if time.perf_counter() - looked >= POLL_SECONDS:
-                look()
-                self._report_progress()
-                looked = time.perf_counter()
+                look_up()
             return stop.is_set()
 
-        return is_stopped
+        def finish(tile: FinishedTile) -> None:
+            self._hand_out(tile)
+            look_up()
+
+        return is_stopped, finish
 
     def _render_tile(
         self, integrator: TileIntegrator, halves: Sequence[TileState], stop: Callable[[], bool]
     ) -> FinishedTile:
         """A step of a tile, or all that is left of its round."""
         start, tail_seconds, finished = time.perf_counter(), 0.0, []
-        step, begun = self._step_of(halves), [state.items_begun for state in halves]
+        step, begun, before = self._step_of(halves), [state.items_begun for state in halves], integrator.items_done
         for state in halves:
             samples = self._state.samples_of(state)
             most = step * state.pixel_count
             finished.append(integrator.render(state, samples.first, samples.sample_count, stop, most))
             tail_seconds += integrator.tail_seconds
         joined = time.perf_counter()
+        if done := integrator.items_done - before:
+            integrator.seconds_a_path = (joined - start) / done
         tile = finished[0] if len(finished) == 1 else FinishedTile.sum_of(*finished)
         if self._steps and begun != (now := [state.items_begun for state in halves]) and not stop():
             end = time.perf_counter()

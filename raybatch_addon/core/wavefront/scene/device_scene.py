@@ -13,6 +13,7 @@ from ...bvh.build.scene_tree import BuiltTree
 from ...bvh.traverse.reference import ReferenceTree
 from ...bvh.tree import Tree
 from ...bvh.treelets.tree import TreeletTree
+from ...native.structs import arrays_in
 from ...programs.inputs_data import upload_camera_inputs, upload_inputs, with_camera
 from ...programs.parts import transparent_parts
 from ...programs.table import store_programs, upload_programs
@@ -24,6 +25,7 @@ from ...shading.bsdf.bsdf import ClosureFeatures, upload_materials
 from ...shading.bsdf.materials import material_bins
 from ...shading.camera import CameraData, upload_camera
 from ...shading.images.image_upload import UploadedImages
+from ...shading.lights.choice_table import choice_tree
 from ...shading.lights.emitters import emits_light, find_emissive_triangles
 from ...shading.lights.lamp_program import upload_lamp_programs
 from ...shading.lights.table import UploadedLights, upload_lights
@@ -183,6 +185,19 @@ class DeviceScene:
     def paged(self) -> PagedTree | None:
         """The tree, where it lies beyond memory."""
         return self.built if isinstance(self.built, PagedTree) else None
+
+    @functools.cached_property
+    def own_bytes(self) -> int:
+        """Memory on the device of what a `SceneCache` does not keep for the next scene [bytes]."""
+        data, volumes = self.data, self.volumes
+        lights, images = self.lights, self.images
+        whole = [data, self.camera, self.pass_inputs, self.stored, images.table, lights.choice, lights.tree]
+        kept = [data.geometry, data.nodes.inputs, data.lights.world, choice_tree(lights.choice), images.keep]
+        if volumes:
+            whole += [volumes.data, volumes.stored, volumes.surfaces]
+            kept += [volumes.data.grids, volumes.data.bounds]
+        own = arrays_in(whole)
+        return sum(own[address] for address in own.keys() - arrays_in(kept))
 
     @property
     def geometry_on_host(self) -> bool:

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import functools
-import sys
+from collections.abc import Callable
 from dataclasses import fields, is_dataclass
+from enum import Enum, auto
+from itertools import chain
 from operator import attrgetter
-from typing import Any, get_args, get_type_hints
+from typing import Any
 
 import numpy as np
-import warp as wp
 
+from ...attributes import attributes_of
 from ...bvh.build.scene_tree import BuiltTree
 from ...device.bulk import digest_of
 from ...scene.description import Scene
 from ...scene.features import SceneFeatures
 from ...scene.frozen import Same, is_frozen
 from ...settings.settings import SETTINGS, RenderSettings
-from ...shading.lights.table import LightTable
 from ..plan.plan import Method
 from ..plan.tracing import Tracing
 from .device_scene import DeviceScene
@@ -25,6 +26,9 @@ from .scene_cache import GeometryRequest
 
 # Arrays that may change are looked at in each render, together up to this size [bytes]
 _LOOSE_MOST = 1 << 24
+# Types of values that nobody can change: these themselves, and such as may be derived from
+_PLAIN = frozenset((int, float, str, bool, type(None)))
+_UNCHANGING = (Enum, np.number, np.bool_)
 # All settings but those of random numbers
 settings_but_seeds = attrgetter(*(name for name in SETTINGS if name not in ("seed", "sample_count")))
 
@@ -89,12 +93,9 @@ class KeptScene:
 
     @property
     def device_bytes(self) -> int:
-        """Memory on the device that only this keeps: that of emissive triangles, which may be many [bytes]."""
-        if self._made is None:
-            return 0
-        lights = self._made.data.lights
-        values = (getattr(lights, name) for name in LightTable.vars)
-        return sum(int(each.capacity) for each in values if isinstance(each, wp.array))
+        """Memory on the device that only this keeps, and no cache of the scene's parts [bytes]."""
+        made = self._made  # the build of a cancelled render may ask
+        return 0 if made is None else made.own_bytes
 
 
 def asked_of(
@@ -108,56 +109,57 @@ def asked_of(
 
 def scene_key(scene: Scene) -> tuple[list[np.ndarray], tuple] | None:
     """All of `scene`: its frozen arrays, and values, among them a digest of its other arrays; None where these are so
-    large that it is not worth while to look at them.
+    large that it is not worth while to look at them, or where there are things that may change unseen.
     """
     frozen: list[np.ndarray] = []
     loose: list[np.ndarray] = []
 
     def values_of(value: Any) -> Any:
-        if isinstance(value, np.ndarray):
+        kind = type(value)
+        if kind in _PLAIN:
+            return value
+        if isinstance(value, (tuple, list)):
+            return values_of_all(tuple(value))
+        if kind is np.ndarray and not value.dtype.hasobject:
             is_kept = is_frozen(value)
             (frozen if is_kept else loose).append(value)
-            return is_kept
-        if isinstance(value, tuple):
-            return tuple(map(values_of, value))
-        if is_dataclass(value):
-            plain, others = _read_by(type(value))
-            return type(value), plain(value), tuple(map(values_of, others(value)))
-        return value
+            return _Array.FROZEN if is_kept else _Array.LOOSE
+        if is_dataclass(kind):
+            return kind, values_of(_reader(kind)(value))
+        if isinstance(value, _UNCHANGING):
+            return value
+        raise _UnknownThing
 
-    values = values_of(scene)
+    def values_of_all(parts: tuple) -> tuple:
+        kinds = set(map(type, parts))
+        if kinds <= _PLAIN or (kinds == {tuple} and _PLAIN.issuperset(map(type, chain.from_iterable(parts)))):
+            return parts
+        if len(kinds) == 1 and is_dataclass(kind := kinds.pop()):
+            # field by field, because there may be many steps of programs
+            return kind, len(parts), tuple(map(values_of, zip(*map(_reader(kind), parts), strict=True)))
+        return tuple(map(values_of, parts))
+
+    try:
+        values = values_of(scene)
+    except _UnknownThing:
+        return None
     if sum(each.nbytes for each in loose) > _LOOSE_MOST:
         return None
     return frozen, (values, digest_of(loose))
 
 
+class _Array(Enum):
+    """The place of an array among values."""
+
+    FROZEN = auto()
+    LOOSE = auto()
+
+
+class _UnknownThing(Exception):
+    """Raised for a value of which nobody knows whether it can change."""
+
+
 @functools.cache
-def _read_by(kind: type):
-    """What reads the fields of a dataclass that hold no arrays, and those that may hold some; each as a tuple."""
-    hints = _hints_of(kind)
-    split: tuple[list[str], list[str]] = [], []
-    for each in fields(kind):
-        split[_may_hold_arrays(hints[each.name])].append(each.name)
-    return tuple(map(_getter, split))
-
-
-def _hints_of(kind: type) -> dict[str, Any]:
-    return get_type_hints(kind, vars(sys.modules[kind.__module__]))
-
-
-def _may_hold_arrays(hint: Any, around: frozenset[type] = frozenset()) -> bool:
-    """Whether values of the type `hint` have arrays in them; `around`: the dataclasses that it is a field of."""
-    if hint is np.ndarray or hint in (Any, object):
-        return True
-    if is_dataclass(hint):
-        hints, around = _hints_of(hint), around | {hint}
-        inner = (hints[each.name] for each in fields(hint))
-        return any(_may_hold_arrays(each, around) for each in inner if each not in around)
-    return any(_may_hold_arrays(each, around) for each in get_args(hint) if each not in around)
-
-
-def _getter(names: list[str]):
-    """What reads all attributes `names` of an object, as a tuple."""
-    if len(names) < 2:
-        return lambda value: tuple(getattr(value, name) for name in names)
-    return attrgetter(*names)
+def _reader(kind: type) -> Callable[[Any], tuple]:
+    """What reads all fields of a dataclass."""
+    return attributes_of([each.name for each in fields(kind)])

@@ -128,7 +128,11 @@ class SceneCache:
     only moved.
     """
 
-    def __init__(self):
+    def __init__(self, beside: Callable[[], int] = lambda: 0):
+        """`beside`: memory on the device that is kept of the last frame, and given up for another one, beside what is
+        here [bytes].
+        """
+        self._beside = beside
         self.images = ImageCache()
         self.world = WorldCache()
         self.volumes = VolumeCache()
@@ -172,15 +176,17 @@ class SceneCache:
         """
         if not device.is_cuda:
             return None
-        return int(
-            IMAGE_SHARE * (free_memory(device) + self.device_bytes + self.images.device_bytes + self.world.device_bytes)
-        )
+        return int(IMAGE_SHARE * (self._free(device) + self.images.device_bytes))
 
     def free_for_geometry(self, images: Sequence[Image], device: wp.Device) -> int:
         """Memory that the geometry of a frame with `images` may have on `device` [bytes]."""
         budget = self.image_budget(device)
         images_need = 0 if budget is None else min(device_bytes_of(images), budget) - self.images.device_bytes
-        return free_memory(device) + self.device_bytes + self.world.device_bytes - images_need
+        return self._free(device) - images_need
+
+    def _free(self, device: wp.Device) -> int:
+        """Free memory of `device` without all that is kept of the last frame but its images [bytes]."""
+        return free_memory(device) + self.device_bytes + self.world.device_bytes + self._beside()
 
     def displaced(self, scene: Scene, device: wp.Device, move: Move) -> Scene:
         """`scene` with the vertices where its materials move them, whose programs `move` runs."""

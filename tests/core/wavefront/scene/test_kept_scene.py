@@ -1,11 +1,16 @@
 """A scene on its device and its workers serve the next render, while all that they follow from is the same."""
 
+import gc
+import threading
 from dataclasses import fields, is_dataclass, replace
 from enum import Enum
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import warp as wp
 
+from raybatch_addon.core.ahead import prepare
 from raybatch_addon.core.scene.description import (
     Attribute,
     Closure,
@@ -28,8 +33,9 @@ from raybatch_addon.core.scene.program import Instruction, Program
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.render import workers
-from raybatch_addon.core.wavefront.scene import kept_scene
+from raybatch_addon.core.wavefront.scene import kept_scene, scene_cache
 from raybatch_addon.core.wavefront.scene.device_scene import DeviceScene
+from raybatch_addon.core.wavefront.scene.scene_cache import SceneCache
 from tests.support import scenes
 from tests.support.under_test import DEVICE
 
@@ -153,6 +159,106 @@ def test_a_cancelled_render_leaves_no_workers(general_kernels, made):
     film = render(session, scene)
     assert made == ["make_workers"]
     assert_as_new(film, scene)
+
+
+def test_a_list_that_was_edited_is_noticed(general_kernels, made):
+    whole = scene_of()
+    scene = replace(whole, lights=list(whole.lights), meshes=list(whole.meshes))
+    session = Session(DEVICE)
+    render(session, scene)
+    made.clear()
+    render(session, replace(scene, lights=list(scene.lights)), seed=1)
+    assert "build" not in made, "another list of the same"
+    scene.lights[0] = replace(scene.lights[0], emission=(1.0, 2.0, 3.0))
+    film = render(session, scene)
+    assert "build" in made
+    assert_as_new(film, scene)
+
+
+def test_an_array_in_place_of_a_tuple_that_was_written_to_is_noticed(general_kernels, made):
+    whole, color = scene_of(), np.array([9.0, 9.0, 9.0])
+    scene = replace(whole, lights=(replace(whole.lights[0], emission=color),))
+    session = Session(DEVICE)
+    render(session, scene)
+    made.clear()
+    render(session, replace(whole, lights=(replace(whole.lights[0], emission=color.copy()),)), seed=1)
+    assert "build" not in made, "another array of the same numbers"
+    color[0] = 1.0
+    film = render(session, scene)
+    assert "build" in made
+    assert_as_new(film, scene)
+
+
+@pytest.mark.parametrize("thing", [{}, set(), bytearray(b"a"), np.array([[]], dtype=object), np.zeros(1, "i4,f4")[0]])
+def test_a_scene_with_something_that_may_change_unseen_is_not_kept(thing):
+    assert kept_scene.scene_key(replace(full_scene(), object_names=("a", thing))) is None
+
+
+@pytest.mark.parametrize("thing", [np.float32(1), np.bool_(True), LightKind.POINT, None, "a", 1.5, [1, (2, [3])]])
+def test_values_that_nobody_can_change_are_compared(thing):
+    scene = replace(full_scene(), object_names=("a", thing))
+    assert Same(*kept_scene.scene_key(scene)).holds(*kept_scene.scene_key(replace(scene)))
+
+
+def test_kernels_that_are_gone_are_loaded_and_nothing_is_built(general_kernels, made, monkeypatch):
+    session, scene = Session(DEVICE), scene_of()
+    first = render(session, scene)
+    made.clear()
+    asked, loaded = [], []
+    monkeypatch.setattr(prepare, "loaded_modules", lambda *of: asked.append(of))
+    real = prepare.load_kernels
+    monkeypatch.setattr(prepare, "load_kernels", lambda *of: (loaded.append(threading.current_thread()), real(*of))[1])
+    film = render(session, scene)
+    assert asked and loaded and loaded[0] is not threading.main_thread() and "build" not in made
+    assert film.passes["Combined"].tobytes() == first.passes["Combined"].tobytes()
+    assert film.statistics["modules"] == first.statistics["modules"]
+    if session.device.is_cpu:
+        assert made == [], "the workers are kept too"
+
+
+# --- memory on the device
+
+
+def arrays_there():
+    """Bytes of all of Warp's arrays that own their memory, by address."""
+    gc.collect()
+    return {each.ptr: each.capacity for each in gc.get_objects() if isinstance(each, wp.array) and each.deleter}
+
+
+@pytest.mark.parametrize("kind", ["lamp", "glow", "fog", "picture"])
+def test_memory_that_only_the_kept_scene_holds_is_counted(general_kernels, kind):
+    """It is what is free again without it."""
+    session, scene = Session(DEVICE), scene_of()
+    if kind == "glow":
+        scene = replace(scene, materials=(scenes.emitter(3.0),) * len(scene.materials))
+    elif kind == "fog":
+        fog = Volume((Closure(ClosureKind.VOLUME_ABSORPTION, (0.5, 0.5, 0.5)),))
+        scene = replace(scene, world=replace(scene.world, volume=fog))
+    elif kind == "picture":
+        picture = freeze(np.ones((4, 4, 4), np.float32))
+        scene = replace(scene, images=(Image("picture", picture),))
+    render(session, scene)
+    session._kept._workers = None
+    counted, before = session._kept.device_bytes, arrays_there()
+    session._kept.clear()
+    after = arrays_there()
+    freed = sum(size for address, size in before.items() if address not in after)
+    if kind == "glow" and session.device.is_cpu:  # there they are those of the cache
+        triangles = session._cache.emissive.made
+        freed += triangles.instance.nbytes + triangles.primitive.nbytes + triangles.radiance.nbytes
+    assert counted == freed > 100
+    assert session._kept.device_bytes == 0
+
+
+def test_what_images_may_have_does_not_depend_on_what_is_kept(monkeypatch):
+    """A device that has as much memory as is not kept."""
+    kept, all_of_it = [1 << 20], 1 << 24
+    monkeypatch.setattr(scene_cache, "free_memory", lambda device: all_of_it - kept[0])
+    cache, device = SceneCache(lambda: kept[0]), SimpleNamespace(is_cuda=True)
+    budget, geometry = cache.image_budget(device), cache.free_for_geometry((), device)
+    kept[0] = 0
+    assert cache.image_budget(device) == budget == all_of_it * scene_cache.IMAGE_SHARE
+    assert cache.free_for_geometry((), device) == geometry == all_of_it
 
 
 def test_a_closed_session_keeps_nothing(general_kernels, made):
