@@ -52,7 +52,7 @@ class EagerCheckpoint(Checkpoint):
 
 def render_in_parts(session, scene, settings, path) -> tuple[Film, int]:
     """The film, and how many renders it took: each is stopped after some copies, and has another schedule."""
-    for number in range(100):
+    for number in range(400):
         checkpoint = EagerCheckpoint(path, number, copies=2)
         film = session.render(
             scene,

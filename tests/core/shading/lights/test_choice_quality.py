@@ -29,8 +29,12 @@ def ceiling(count: int, kind: str):
     return [], Mesh("glowing", corners.reshape(-1, 3).astype(np.float32), triangles), places
 
 
-@pytest.mark.parametrize("kind, most", [("lamps", 0.006), ("triangles", 0.014)])
-def test_many_emitters_are_chosen_about_as_what_they_bring(kind, most, monkeypatch):
+# a GPU's tree, of neighbours along a curve, is not as good as the CPU's
+MOST = {"lamps": (0.006, 0.03), "triangles": (0.014, 0.06)}
+
+
+@pytest.mark.parametrize("kind", MOST)
+def test_many_emitters_are_chosen_about_as_what_they_bring(kind, monkeypatch):
     """The variance that the choice adds to light without shadows, beside the square of the light."""
     lights, mesh, places = ceiling(2500, kind)
     monkeypatch.setattr(test_light_choice, "glowing", lambda count, seed: mesh)
@@ -42,7 +46,7 @@ def test_many_emitters_are_chosen_about_as_what_they_bring(kind, most, monkeypat
         brings = 3.0 / square**1.5 * (1.0 if mesh is None else 3.0 / square**0.5)
         pdf = test_light_choice.chosen_from(lit, (*point, 0.0), (0, 0, 1), count=1)[3]
         variance.append((brings**2 / pdf).sum() / brings.sum() ** 2 - 1)
-    assert 0 <= np.mean(variance) < most
+    assert 0 <= np.mean(variance) < MOST[kind][wp.get_device(DEVICE).is_cuda]
 
 
 def test_in_a_volume_emitters_count_by_what_comes_from_all_sides():

@@ -138,7 +138,7 @@ def test_all_is_looked_at_where_more_than_places_changed(start, flattened, monke
     session.render(scene, SETTINGS.replace(spatial_splits="OFF"))
     flattened.clear()
     film = session.render(there, SETTINGS.replace(spatial_splits="OFF"))
-    # trees follow where there are as many triangles
-    is_built = why in ("bad", "hidden")
+    # trees follow where there are as many triangles, nearly all of the same vertices in the same order
+    is_built = why in ("bad", "hidden", "mirrored")
     assert len(flattened) == 1 and (film.statistics["tree"]["built"] > 0) == is_built
     assert_as_new(session, there, spatial_splits="OFF")
