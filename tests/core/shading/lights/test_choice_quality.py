@@ -30,7 +30,7 @@ def ceiling(count: int, kind: str):
 
 
 # a GPU's tree, of neighbours along a curve, is not as good as the CPU's
-MOST = {"lamps": (0.006, 0.03), "triangles": (0.014, 0.06)}
+MOST = {"lamps": (0.006, 0.02), "triangles": (0.014, 0.04)}
 
 
 @pytest.mark.parametrize("kind", MOST)

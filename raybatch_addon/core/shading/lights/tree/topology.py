@@ -26,7 +26,7 @@ from .joints import Joints, widen_leaves_kernel
 _MANY = 1 << 17
 _OPTIONS = BuildOptions(leaf_group=1, leaf_max=1)
 # Half the width of boxes at least, of the step between as many emitters in rows and columns as wide as all of them
-_STEP_SHARE = 0.5
+_STEP_SHARE = 1.0
 
 
 @dataclass(frozen=True)
