@@ -18,6 +18,7 @@ from ...device.bulk import digest_of
 from ...scene.description import Scene
 from ...scene.features import SceneFeatures
 from ...scene.frozen import Same, is_frozen
+from ...scene.notice import Notice
 from ...settings.settings import SETTINGS, RenderSettings
 from ..plan.plan import Method
 from ..plan.tracing import Tracing
@@ -28,7 +29,7 @@ from .scene_cache import GeometryRequest
 _LOOSE_MOST = 1 << 24
 # Types of values that nobody can change: these themselves, and such as may be derived from
 _PLAIN = frozenset((int, float, str, bool, type(None)))
-_UNCHANGING = (Enum, np.number, np.bool_)
+_UNCHANGING = (Enum, np.number, np.bool_, Notice)
 # All settings but those of random numbers
 settings_but_seeds = attrgetter(*(name for name in SETTINGS if name not in ("seed", "sample_count")))
 

@@ -29,6 +29,7 @@ from raybatch_addon.core.scene.description import (
     World,
 )
 from raybatch_addon.core.scene.frozen import Same, freeze
+from raybatch_addon.core.scene.notice import Notice
 from raybatch_addon.core.scene.program import Instruction, Program
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
@@ -194,7 +195,9 @@ def test_a_scene_with_something_that_may_change_unseen_is_not_kept(thing):
     assert kept_scene.scene_key(replace(full_scene(), object_names=("a", thing))) is None
 
 
-@pytest.mark.parametrize("thing", [np.float32(1), np.bool_(True), LightKind.POINT, None, "a", 1.5, [1, (2, [3])]])
+@pytest.mark.parametrize(
+    "thing", [np.float32(1), np.bool_(True), LightKind.POINT, None, "a", 1.5, [1, (2, [3])], Notice("replaced")]
+)
 def test_values_that_nobody_can_change_are_compared(thing):
     scene = replace(full_scene(), object_names=("a", thing))
     assert Same(*kept_scene.scene_key(scene)).holds(*kept_scene.scene_key(replace(scene)))
