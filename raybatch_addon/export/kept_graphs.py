@@ -6,8 +6,9 @@ it was compiled is asked for again, and the result serves where the answers are 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import bpy
 
@@ -15,6 +16,8 @@ from .images.images import image_key
 from .nodes.collections import Collections
 from .nodes.signature import NoSignature, Signatures
 from .nodes.textures.image import exported_image
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,18 @@ class KeptGraphs:
             self.reads_elsewhere = True
             return None
         return (owner.name, *own, self._collections.engine, graph)
+
+    def graph(self, owner: bpy.types.ID, compile_it: Callable[[], T]) -> T:
+        """What `compile_it()` makes of the graph of `owner`, evaluated, now, or what it made in an earlier export."""
+        self._collections.begin()
+        signature = self.graph_signature(owner)
+        kept = self.kept(owner, signature)
+        if kept is not None:
+            return kept.made
+        self._collections.begin()
+        made = compile_it()
+        self.keep_graph(owner, signature, made, [])
+        return made
 
     def kept(self, owner: bpy.types.ID, signature: tuple | None) -> KeptGraph | None:
         """What the graph of that `signature` was compiled to; None where it must be compiled. `Collections.begin` comes

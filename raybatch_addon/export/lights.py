@@ -62,15 +62,7 @@ class LampGraphs:
     def _graph(self, light: bpy.types.Light) -> LampGraph:
         if not has_nodes(light):
             return LampGraph(np.ones(3), None)
-        self._collections.begin()
-        signature = self._kept.graph_signature(light)
-        kept = self._kept.kept(light, signature)
-        if kept is not None:
-            return kept.made
-        self._collections.begin()
-        graph = _lamp_graph(light, self._collections)
-        self._kept.keep_graph(light, signature, graph, [])
-        return graph
+        return self._kept.graph(light, lambda: _lamp_graph(light, self._collections))
 
 
 def export_light(

@@ -49,7 +49,7 @@ def export_world(
         return World()
     radiance, program, volume = tuple(world.color[:3]), None, None
     if has_nodes(world):
-        graph = _world_graph(world, collections, kept or KeptGraphs(collections))
+        graph = (kept or KeptGraphs(collections)).graph(world, lambda: _world_graph(world, collections))
         collections.environments |= graph.environments
         warnings += [about(note, f"world “{world.name}”") for note in graph.notes]
         radiance, program, volume = graph.radiance, graph.program, graph.volume
@@ -59,23 +59,15 @@ def export_world(
     return World(usable, _visibility(world), program, size, sun=sun, volume=volume)
 
 
-def _world_graph(world: bpy.types.World, collections: Collections, kept: KeptGraphs) -> _WorldGraph:
-    """The nodes of `world`, compiled now or by an earlier export."""
-    collections.begin()
-    signature = kept.graph_signature(world)
-    found = kept.kept(world, signature)
-    if found is not None:
-        return found.made
-    collections.begin()
+def _world_graph(world: bpy.types.World, collections: Collections) -> _WorldGraph:
+    """The nodes of `world`, compiled."""
     output = collections.output(world.node_tree)
     compiled = compile_graph(output.inputs["Surface"] if output else None, world, collections)
     lit = [closure.weight for closure in compiled.closures if closure.kind == ClosureKind.EMISSION]
     radiance = np.sum(lit, axis=0) if lit else np.zeros(3)
     volume, notes = compile_volume(output.inputs.get("Volume") if output else None, world, collections)
     environments = frozenset(collections.environments)
-    graph = _WorldGraph(tuple(radiance), compiled.program, volume, (*compiled.notes, *notes), environments)
-    kept.keep_graph(world, signature, graph, [])
-    return graph
+    return _WorldGraph(tuple(radiance), compiled.program, volume, (*compiled.notes, *notes), environments)
 
 
 def with_portals(world: World, portals: Sequence[Light]) -> World:

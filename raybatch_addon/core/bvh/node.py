@@ -196,3 +196,9 @@ def _decode_quantised(nodes: np.ndarray) -> Children:
 def triangle_faces(layout: Layout, triangles: np.ndarray) -> np.ndarray:
     """View of the triangle numbers in the blocks, int32, shape [groups, 8] (-1 for none) or [t]."""
     return triangles.view(BOXES_GROUP if layout is Layout.BOXES else QUANTISED_TRIANGLE)[:, 0]["face"]
+
+
+def half_areas(extents: np.ndarray) -> np.ndarray:
+    """Half the surface areas of boxes with these `extents`, shape [..., 3]."""
+    x, y, z = extents[..., 0], extents[..., 1], extents[..., 2]
+    return x * y + y * z + z * x

@@ -42,7 +42,7 @@ PATH_HISTORY_OPS = frozenset(("path_history", "portal_depth"))
 # Ops by which a point of a volume may differ with the way that a ray came there
 _OPS_OF_WAYS = PATH_HISTORY_OPS | {"light_path", "ray_length"}
 # Facets through which a transparent film shows, where it is asked for
-_SEEN_THROUGH = {ClosureKind.GLASS, ClosureKind.REFRACTION, ClosureKind.SHEET}
+SEEN_THROUGH = frozenset((ClosureKind.GLASS, ClosureKind.REFRACTION, ClosureKind.SHEET))
 # Passes that are no features of a scene: that which every film has, and those that counters fill
 _PASSES_OF_OTHERS = ("Combined", *COST_PASSES, SAMPLE_COUNT)
 
@@ -297,7 +297,7 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
         film_glass=surfaces
         and scene.frame.transparent
         and scene.frame.glass_roughness is not None
-        and not _SEEN_THROUGH.isdisjoint(kinds),
+        and not SEEN_THROUGH.isdisjoint(kinds),
         passes=tuple(scene.frame.passes),
         sample_sequence=settings.sample_sequence,
         nee=settings.nee,
@@ -329,7 +329,7 @@ def emits_somewhere(volume: Volume) -> bool:
     """Whether `volume` may emit."""
     if volume.program is None:
         return any(closure.kind == ClosureKind.EMISSION for closure in volume.closures)
-    return any(step.op == "emission" for step in volume.program.instructions)
+    return volume.program.may_emit
 
 
 def is_emissive(volume: Volume) -> bool:

@@ -41,6 +41,11 @@ class Program:
     answer_count: int = 0
     requests: Program | None = None
 
+    @property
+    def may_emit(self) -> bool:
+        """Whether some step emits. Where emission is known to be black there is none, though `ops` has it."""
+        return any(step.op == "emission" for step in self.instructions)
+
 
 @dataclass(frozen=True)
 class ProgramFeatures:

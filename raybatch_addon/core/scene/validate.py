@@ -138,7 +138,7 @@ def _object_name(scene: Scene, instance: int) -> str:
 
 def _is_usable(light: Light, warnings: list[str]) -> bool:
     numbers = [
-        *np.asarray(light.transform).ravel().tolist(),
+        *np.ravel(light.transform).tolist(),
         *light.emission,
         *light.size,
         *light.spot_scale,

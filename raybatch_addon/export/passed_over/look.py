@@ -7,7 +7,8 @@ from collections.abc import Iterable
 
 import bpy
 
-from ...core.scene.description import ClosureKind, Scene, Volume
+from ...core.scene.description import ClosureKind, Scene
+from ...core.scene.features import emits_somewhere, scene_volumes
 from ...core.scene.notice import Notice, Weight, about
 from ..taken_over.take import passed_over_settings
 from .object_rows import OBJECT_ROWS
@@ -24,21 +25,11 @@ def passed_over(depsgraph: bpy.types.Depsgraph, objects: Iterable[bpy.types.Obje
     return found + list(object_notices(OBJECT_ROWS, objects)) + passed_over_settings(scene)
 
 
-def _glows(volume: Volume | None) -> bool:
-    """Whether a volume may emit light."""
-    if volume is None:
-        return False
-    by_program = () if volume.program is None else volume.program.instructions
-    return any(each.kind == ClosureKind.EMISSION for each in volume.closures) or any(
-        each.op == "emission" for each in by_program
-    )
-
-
 def with_light_looked_for(scene: Scene) -> Scene:
     """`scene`, with a notice first where nothing in it can give light."""
     shines = bool(scene.lights) or scene.world.program is not None or any(scene.world.radiance)
     emits = any(ClosureKind.EMISSION in material.kinds for material in scene.materials)
-    if shines or emits or any(map(_glows, [scene.world.volume, *(each.volume for each in scene.materials)])):
+    if shines or emits or any(map(emits_somewhere, scene_volumes(scene))):
         return scene
     text = (
         "nothing gives light: there is no lamp, no world that shines and no material that emits; the picture is black"

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...errors import SceneError
+from ..node import half_areas
 
 # Deepest leaf, the root being at 0: a traversal stack of 64 entries always suffices
 DEPTH_MAX = 63
@@ -99,8 +100,7 @@ class BinaryTree:
 
 def box_areas(nodes: np.ndarray) -> np.ndarray:
     """Half the surface area of each node's box, float64 (which holds the squares of all of float32)."""
-    x, y, z = (nodes[:, 4 + k].astype(np.float64) - nodes[:, k] for k in range(3))
-    return x * y + y * z + z * x
+    return half_areas(nodes[:, 4:7].astype(np.float64) - nodes[:, :3])
 
 
 def expected_visits(nodes: np.ndarray, leaf_group: int) -> tuple[float, float]:

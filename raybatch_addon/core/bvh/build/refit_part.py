@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..margin import SLAB_MARGIN
-from ..node import BOXES_GROUP, BOXES_NODE, EMPTY_CHILD, WIDTH
+from ..node import BOXES_GROUP, BOXES_NODE, EMPTY_CHILD, WIDTH, half_areas
 from .collapse import BOXES_COST, CollapseCost
 from .refit import RefitResult
 
@@ -158,8 +158,7 @@ def _leaf_boxes(child: np.ndarray, count: np.ndarray, blocks: np.ndarray) -> np.
 
 def _area(boxes: np.ndarray) -> np.ndarray:
     """Half the area of each box."""
-    x, y, z = (boxes[..., 3 + k].astype(np.float64) - boxes[..., k] for k in range(3))
-    return x * y + y * z + z * x
+    return half_areas(boxes[..., 3:].astype(np.float64) - boxes[..., :3])
 
 
 def _write(nodes: np.ndarray, touched: np.ndarray, boxes: np.ndarray, whole: np.ndarray, centre: np.ndarray) -> None:

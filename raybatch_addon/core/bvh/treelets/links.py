@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..node import BOXES_NODE, EMPTY_CHILD, QUANTISED_NODE, WIDTH, Layout, aligned_empty
+from ..node import BOXES_NODE, EMPTY_CHILD, QUANTISED_NODE, WIDTH, Layout, aligned_empty, half_areas
 
 TREELET_CHILD = 0x40000000
 """BOXES: this bit of a resident node's child word says that the child is the root of a treelet. `EMPTY_CHILD` has it
@@ -124,9 +124,7 @@ def node_areas(layout: Layout, nodes: np.ndarray, which: np.ndarray) -> np.ndarr
                 there, fields["low"], 255
             ).min(2)
             extent = np.exp2(fields["exponent"].astype(np.float64) - 127) * steps
-        areas[first : first + _AREA_SLICE] = (
-            extent[:, 0] * extent[:, 1] + extent[:, 1] * extent[:, 2] + extent[:, 2] * extent[:, 0]
-        )
+        areas[first : first + _AREA_SLICE] = half_areas(extent)
     return areas
 
 

@@ -243,13 +243,7 @@ def emits_light(material: Material, programs: bool) -> bool:
 
 
 def _may_emit(material: Material) -> bool:
-    # a program whose emission is known to be black has no emission step, though its kinds count it
-    program = material.program
-    return (
-        program is not None
-        and ClosureKind.EMISSION in material.kinds
-        and any(step.op == "emission" for step in program.instructions)
-    )
+    return material.program is not None and ClosureKind.EMISSION in material.kinds and material.program.may_emit
 
 
 def _material_emission(scene: Scene) -> np.ndarray:

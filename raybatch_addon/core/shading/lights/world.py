@@ -62,6 +62,11 @@ class WorldLight:
     sun: SkySun | None = None
     within_sun: float = 0.0  # mean brightness in the directions to the sun, >= 0 and finite
 
+    @property
+    def has_sun(self) -> bool:
+        """Whether there is a sun that shines."""
+        return self.sun is not None and self.within_sun > 0
+
 
 def sampled_world(light: WorldLight, device: wp.Device, even: bool = False, beside_rays: bool = False) -> SampledWorld:
     """The world that is as bright as `light`. `even`: its table has one texel.
@@ -72,7 +77,7 @@ def sampled_world(light: WorldLight, device: wp.Device, even: bool = False, besi
     Techniques in Multiple Importance Sampling", section 4).
     """
     texels, of_sun, irradiance = light.texels, 0.0, np.zeros(9)
-    if light.sun is not None and light.within_sun > 0:
+    if light.has_sun:
         texels = without_sun(texels, light.sun)
         of_sun = light.within_sun * solid_angle(light.sun)
         irradiance = of_sun * _irradiance_of_one(*light.sun.direction)
@@ -81,7 +86,7 @@ def sampled_world(light: WorldLight, device: wp.Device, even: bool = False, besi
         texels = np.maximum(texels - np.float32(mean), 0)
     irradiance += _irradiance(texels)
     table = build_world_table(np.ones((1, 1), np.float32) if even else texels, device)
-    if of_sun > 0:
+    if light.has_sun:
         table.sun = sun_cone(light.sun, of_sun / (of_sun + 4 * np.pi * _mean(texels)))
     return SampledWorld(table, irradiance)
 
@@ -90,9 +95,7 @@ def is_even(light: WorldLight) -> bool:
     """Whether a world's light hardly differs by direction, so that rays which surfaces scatter find it better by
     themselves: by the variance of its texels over the sphere beside the square of the mean. No world with a sun is.
     """
-    if light.sun is not None and light.within_sun > 0:
-        return False
-    return _is_even(light.texels)
+    return not light.has_sun and _is_even(light.texels)
 
 
 def _is_even(light: np.ndarray) -> bool:

@@ -115,8 +115,7 @@ def brightness_of_lamps(
     load_module(kernel, device)
     wp.launch(kernel, len(lamps), [data, work], device=device)
     for i, mean in zip(lamps, work.brightness.numpy()):
-        shines = any(step.op == "emission" for step in scene.lights[i].program.instructions)
-        result[i] = (mean if mean > 0 else _UNSEEN) if shines else 0.0
+        result[i] = (mean if mean > 0 else _UNSEEN) if scene.lights[i].program.may_emit else 0.0
     return result
 
 

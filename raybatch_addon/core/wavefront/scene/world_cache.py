@@ -11,10 +11,10 @@ import warp as wp
 
 from ...programs.parts import outputs_read
 from ...scene.description import SCATTERED_RAYS, Scene, World
+from ...scene.features import PATH_HISTORY_OPS
 from ...shading.lights.world import SampledWorld, WorldLight, is_even, sampled_world
 from .unchanged import Last, camera_key, images_of, pictures_of
 
-_OF_RAYS = {"path_history", "portal_depth"}  # ops
 _IS_CAMERA_RAY = 0  # output of the op `light_path`; of scattered rays none is one
 
 
@@ -60,7 +60,7 @@ def _may_vary(world: World) -> bool:
     """
     in_part = int(world.visibility) & SCATTERED_RAYS not in (0, SCATTERED_RAYS)
     asks = outputs_read(world.program.instructions, "light_path") - {_IS_CAMERA_RAY}
-    return in_part or bool(asks) or not _OF_RAYS.isdisjoint(world.program.ops)
+    return in_part or bool(asks) or not PATH_HISTORY_OPS.isdisjoint(world.program.ops)
 
 
 def _key(scene: Scene, device: wp.Device) -> tuple[list[np.ndarray | None], tuple]:

@@ -37,6 +37,7 @@ from raybatch_addon.core.wavefront.render import workers
 from raybatch_addon.core.wavefront.scene import kept_scene, scene_cache
 from raybatch_addon.core.wavefront.scene.device_scene import DeviceScene
 from raybatch_addon.core.wavefront.scene.scene_cache import SceneCache
+from tests.core.wavefront.scene.keeping import counted_calls, frozen_meshes
 from tests.support import scenes
 from tests.support.under_test import DEVICE
 
@@ -54,27 +55,13 @@ def scene_of(place=0.0):
         frame=Frame(8, 8),
         lights=[Light("lamp", LightKind.POINT, scenes.translation(0, -4, 3), (9.0, 9.0, 9.0), radius=1.0)],
     )
-    for mesh in made.meshes:
-        for array in (mesh.positions, mesh.triangles, mesh.triangle_slot, mesh.corner_normals, mesh.corner_uvs):
-            if array is not None:
-                freeze(array)
-    return made
+    return frozen_meshes(made)
 
 
 @pytest.fixture
 def made(monkeypatch):
     """What was made, by name, in order."""
-    calls = []
-
-    def count(owner, name):
-        real = getattr(owner, name)
-
-        def counted(*args, **kwargs):
-            calls.append(name)
-            return real(*args, **kwargs)
-
-        monkeypatch.setattr(owner, name, staticmethod(counted) if isinstance(owner, type) else counted)
-
+    calls, count = counted_calls(monkeypatch)
     count(DeviceScene, "build")
     count(workers, "make_workers")
     return calls

@@ -14,6 +14,7 @@ from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.shading.lights import table
 from raybatch_addon.core.wavefront.scene import device_scene, scene_cache
+from tests.core.wavefront.scene.keeping import counted_calls, frozen_meshes
 from tests.support import scenes
 from tests.support.under_test import DEVICE
 
@@ -60,7 +61,7 @@ def with_uvs(scene, seed):
     """`scene`; its first mesh has a UV map of random numbers."""
     box = scene.meshes[0]
     uvs = np.random.default_rng(seed).random((len(box.triangles), 3, 2)).astype(np.float32)
-    return frozen(replace(scene, meshes=(replace(box, corner_uvs=uvs), *scene.meshes[1:])))
+    return frozen_meshes(replace(scene, meshes=(replace(box, corner_uvs=uvs), *scene.meshes[1:])))
 
 
 def scene_of(material=None, place=0.0):
@@ -75,29 +76,10 @@ def scene_of(material=None, place=0.0):
     return replace(made, images=(Image("picture", PIXELS),))
 
 
-def frozen(scene):
-    """`scene` with meshes whose arrays nobody can change."""
-    for mesh in scene.meshes:
-        for array in (mesh.positions, mesh.triangles, mesh.triangle_slot, mesh.corner_normals, mesh.corner_uvs):
-            if array is not None:
-                freeze(array)
-    return scene
-
-
 @pytest.fixture
 def made(monkeypatch):
     """What was made, by name, in order."""
-    calls = []
-
-    def count(module, name):
-        real = getattr(module, name)
-
-        def counted(*args, **kwargs):
-            calls.append(name)
-            return real(*args, **kwargs)
-
-        monkeypatch.setattr(module, name, counted)
-
+    calls, count = counted_calls(monkeypatch)
     count(scene_cache, "flatten")
     count(device_scene, "upload_inputs")
     count(device_scene, "find_emissive_triangles")
@@ -114,7 +96,7 @@ EVERYTHING = ["flatten", "upload_inputs", "find_emissive_triangles", "emission_o
 
 
 def test_nothing_is_made_again_of_the_same_arrays(made):
-    session, scene = Session(DEVICE), frozen(scene_of())
+    session, scene = Session(DEVICE), frozen_meshes(scene_of())
     first = pixels(scene, session)
     assert made == EVERYTHING
     # as an exporter has it: other objects, the same arrays
@@ -147,7 +129,7 @@ def test_arrays_that_may_change_are_looked_at(made):
 )
 def test_what_changes_is_made_again_and_the_film_is_that_of_a_new_session(made, monkeypatch, change, again):
     monkeypatch.setattr(mesh_tree, "SAH_GROWTH_MAX", 1e9)  # a tree of two boxes may get worse by much
-    session, scene = Session(DEVICE), frozen(scene_of(seen() if change == "camera that is read" else None))
+    session, scene = Session(DEVICE), frozen_meshes(scene_of(seen() if change == "camera that is read" else None))
     pixels(scene, session)
     if change == "material":
         other = replace(scene, materials=(shining(3.0), *scene.materials[1:]))
@@ -174,7 +156,7 @@ def test_what_changes_is_made_again_and_the_film_is_that_of_a_new_session(made, 
 
 def test_light_that_is_bumped_follows_the_camera(made):
     """Heights are compared over a share of a pixel, whose width depends on the camera."""
-    session, scene = Session(DEVICE), frozen(scene_of(bumped()))
+    session, scene = Session(DEVICE), frozen_meshes(scene_of(bumped()))
     pixels(scene, session)
     made.clear()
     nearer = replace(scene, camera=scenes.camera(eye=(0, -2, 1)))
@@ -194,7 +176,7 @@ def deforming(scene, mesh, way):
 
 def test_emitters_are_kept_while_other_things_deform(made):
     """An exporter steps through the shutter for each render: what moves is a new array each time."""
-    session, scene = Session(DEVICE), frozen(scene_of())
+    session, scene = Session(DEVICE), frozen_meshes(scene_of())
     pixels(deforming(scene, 1, 0.2), session)
     made.clear()
     other = deforming(scene, 1, 0.4)
@@ -204,7 +186,7 @@ def test_emitters_are_kept_while_other_things_deform(made):
 
 
 def test_an_emitter_that_begins_to_deform_is_none_any_more(made):
-    session, scene = Session(DEVICE), frozen(scene_of())
+    session, scene = Session(DEVICE), frozen_meshes(scene_of())
     pixels(scene, session)
     other = deforming(scene, 0, 0.2)
     assert pixels(other, session) == pixels(other)
@@ -212,7 +194,7 @@ def test_an_emitter_that_begins_to_deform_is_none_any_more(made):
 
 @pytest.mark.parametrize("reads", [True, False])
 def test_a_uv_map_counts_where_it_is_read(made, reads):
-    session, scene = Session(DEVICE), frozen(scene_of(mapped() if reads else shining()))
+    session, scene = Session(DEVICE), frozen_meshes(scene_of(mapped() if reads else shining()))
     pixels(with_uvs(scene, 1), session)
     made.clear()
     other = with_uvs(scene, 2)

@@ -25,8 +25,6 @@ from .joints import Joints, widen_leaves_kernel
 # instances overlap
 _MANY = 1 << 17
 _OPTIONS = BuildOptions(leaf_group=1, leaf_max=1)
-# Half the width of boxes at least, of the step between as many emitters in rows and columns as wide as all of them
-_STEP_SHARE = 1.0
 
 
 @dataclass(frozen=True)
@@ -101,12 +99,12 @@ def topology_on_cuda(low: wp.array, high: wp.array) -> Topology:
 
 def _least_half(low: np.ndarray, high: np.ndarray, count: int) -> float:
     """Half the width that boxes of `count` emitters, all of them within the corners `low` and `high`, float32, shape
-    [3], have at least when they are joined.
+    [3], have at least when they are joined: the step between so many in rows and columns.
 
     The surface of a box counts, and one over emitters in a plane has none to speak of: rows of lamps along a ceiling
     would be joined to strips, whose middles say little of where their light comes from.
     """
-    return float((high.astype(np.float64) - low).max()) * _STEP_SHARE / np.sqrt(count)
+    return float((high.astype(np.float64) - low).max()) / np.sqrt(count)
 
 
 def topology_on_cpu(low: np.ndarray, high: np.ndarray, alike: Sequence[Alike] = ()) -> Topology:

@@ -10,9 +10,9 @@ import functools
 
 import warp as wp
 
-from ....scene.description import ClosureKind
+from ....scene.features import SEEN_THROUGH
 from ....shading.bsdf.bsdf import TRANSMISSION
-from ....shading.bsdf.materials import PASSING_KINDS, BsdfSample, ClosureFeatures, ClosureRecord
+from ....shading.bsdf.materials import BsdfSample, ClosureFeatures, ClosureRecord
 from ...rays import Paths, is_clear
 from ..limits import PathLimits
 
@@ -22,7 +22,7 @@ def make_note_clear(features: ClosureFeatures) -> wp.Function:
     """Function (limits, paths, path, bounce, scattered, closures): notes whether the lobe of one of `closures` by
     which a path scatters after `bounce` scatterings leaves it clear.
     """
-    is_glass = features.test(PASSING_KINDS | {ClosureKind.SHEET})
+    is_glass = features.test(SEEN_THROUGH)
 
     @wp.func
     def note_clear(

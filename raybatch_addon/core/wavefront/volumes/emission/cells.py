@@ -114,9 +114,10 @@ def find_cells(
     for number, each in enumerate(bounded):
         code = 1 + each.instance * volumes.volume_count + each.volume
         low, size = each.box[0], np.maximum(np.ptp(each.box, axis=0), 1e-30)
-        key = (id(each.mesh), _slots(scene, each, volume_of).tobytes())
+        slots = _slots(scene, each, volume_of)
+        key = (id(each.mesh), slots.tobytes())
         if key not in shares:
-            shares[key] = _inside(each.mesh, _slots(scene, each, volume_of), low, size, count, device)
+            shares[key] = _inside(each.mesh, slots, low, size, count, device)
         edges = each.to_world[:, :3] * size
         origin = each.to_world[:, :3] @ low + each.to_world[:, 3]
         longest = float(np.linalg.norm(edges, axis=0).max())
