@@ -1,5 +1,6 @@
 """Missing parts are reported before the render: weighed, with objects, nodes and remedies, and refused where asked."""
 
+import dataclasses
 import json
 import subprocess
 import sys
@@ -10,11 +11,16 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from raybatch_addon.blender import exit_code, frame, missing, reports
+from raybatch_addon.core.programs import ops  # noqa: F401  (registers ops)
+from raybatch_addon.core.programs.builder import ProgramBuilder
 from raybatch_addon.core.scene.archive import load_scene, save_scene
+from raybatch_addon.core.scene.description import Closure, ClosureKind, Material, Volume, World
 from raybatch_addon.core.scene.notice import Notice, Weight, by_weight, described
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.export.asked import asked
+from raybatch_addon.export.passed_over.look import with_light_looked_for
 from raybatch_addon.export.scene import export_scene
+from tests.support import scenes
 from tests.support.blender_builders import add_grid
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -149,6 +155,30 @@ def test_a_new_scene_lacks_nothing_but_light(scene):
     lamp(scene)
     bpy.ops.render.render()
     assert missing.found_in(scene) == []
+
+
+def emitting(color):
+    """A program of a volume that emits `color`, black or not."""
+    builder = ProgramBuilder()
+    builder.closure("emission", color)
+    return builder.finish()
+
+
+@pytest.mark.parametrize(
+    "volume, is_dark",
+    [
+        (Volume((Closure(ClosureKind.VOLUME_ABSORPTION, (1.0,) * 3),)), True),
+        (Volume((Closure(ClosureKind.EMISSION, (1.0,) * 3),)), False),
+        (Volume(program=emitting((0.0, 0.0, 0.0))), True),
+        (Volume(program=emitting((0.0, 1.0, 0.0))), False),
+    ],
+    ids=["absorbs", "emits", "emits black", "emits by a program"],
+)
+def test_volumes_that_emit_give_light(volume, is_dark):
+    for material, world in ((Volume(), volume), (volume, None)):
+        made = scenes.scene([(scenes.box(), scenes.IDENTITY, Material("gas", volume=material))])
+        made = dataclasses.replace(made, world=World(volume=world))
+        assert any("nothing gives light" in each for each in with_light_looked_for(made).warnings) == is_dark
 
 
 def test_a_material_is_named_with_its_nodes_and_objects(scene):
