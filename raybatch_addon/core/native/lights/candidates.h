@@ -75,7 +75,7 @@ auto node_light = [&](const auto* node) {
 #endif
 
 #if SUNS || WORLD
-auto distant_light = [&](int number) -> float {
+auto distant_estimate = [&](int number) -> float {
 #if LINKS
     if (links && !is_distant_linked(number)) return 0.0f;
 #endif
@@ -101,12 +101,44 @@ auto distant_light = [&](int number) -> float {
     return 0.0f;
 #endif
 };
+#endif
+
+// Estimates know nothing of what stands in the way, and where the brightest is hidden the others are all there is. So
+// what may be hidden by itself counts, at the top, as the geometric mean of its light and of that with a part of all
+// light added.
+float estimated = 0.0f;  // what all emitters together may bring
+auto counted_as = [&](float light) -> float { return wp::sqrt(light) * wp::sqrt(light + HIDDEN * estimated); };
+#if SUNS || WORLD
+auto distant_light = [&](int number) -> float { return counted_as(distant_estimate(number)); };
 auto all_distant = [&]() {
     float total = 0.0f;
     for (int number = 0; number < choice_table.distant_count; ++number) total += distant_light(number);
     return total;
 };
 #endif
+// Changes `light` of the first nodes of the top, `count` of them, to what they count for; returns that of all that is
+// distant.
+auto weigh_top = [&](auto& light, int count) -> float {
+    estimated = 0.0f;
+    for (int k = 0; k < count; ++k) estimated += light[k];
+#if SUNS || WORLD
+    for (int number = 0; number < choice_table.distant_count; ++number) estimated += distant_estimate(number);
+#endif
+#if LOCAL
+    const int* group = choice_table.group.data;
+    float together[WIDTH] = {};
+    for (int k = 0; k < count; ++k) together[group[k]] += light[k];
+    for (int k = 0; k < count; ++k) {
+        const float all = together[group[k]];
+        if (all > 0.0f) light[k] *= counted_as(all) / all;
+    }
+#endif
+#if SUNS || WORLD
+    return all_distant();
+#else
+    return 0.0f;
+#endif
+};
 
 // What counts `light` of `total` gets a whole number of the DRAWS that a random number has, at least one; those that
 // rounding leaves go to the first of those that are compared. So each is drawn exactly as often as it says.
@@ -122,11 +154,7 @@ struct Shares {
 };
 auto shares_in = [&](int block) {
     Shares shares;
-    float distant = 0.0f;
-#if SUNS || WORLD
-    if (block == 0) distant = all_distant();
-#endif
-    float total = distant;
+    float distant = 0.0f, total = 0.0f;
     int left = DRAWS;
 #if LOCAL && !defined(__CUDA_ARCH__)
     // sums by halves: the same whatever vectors the processor has, and whether nodes that are not there count as 0
@@ -164,6 +192,7 @@ auto shares_in = [&](int block) {
             if (!is_linked(choice_table.links.nodes.data[block * WIDTH + k])) light[k] = 0.0f;
         }
 #endif
+        if (block == 0) total = distant = weigh_top(light, WIDTH);
         share(light, (WideCounts)(0), sum);
     } else {
         Few node[FIELDS];
@@ -176,6 +205,7 @@ auto shares_in = [&](int block) {
         }
 #endif
         for (int k = 4; k < WIDTH; ++k) shares.draws[k] = 0;
+        if (block == 0) total = distant = weigh_top(light, 4);
         share(light, (FewCounts)(0), sum_of_four);
     }
     const float scale = scale_of(total, WIDTH + 1);
@@ -192,10 +222,13 @@ auto shares_in = [&](int block) {
 #if LINKS
         if (links && !is_linked(choice_table.links.nodes.data[block * WIDTH + k])) light[k] = 0.0f;
 #endif
-        total += light[k];
     }
+    if (block == 0) total = distant = weigh_top(light, WIDTH);
+#pragma unroll 1
+    for (int k = 0; k < WIDTH; ++k) total += light[k];
 #else
     for (int k = 0; k < WIDTH; ++k) light[k] = 0.0f;
+    total = distant = weigh_top(light, 0);
 #endif
     const float scale = scale_of(total, WIDTH + 1);
 #pragma unroll 1

@@ -6,6 +6,10 @@ other emitters are compared one by one; below such a node a path leads down the 
 Kulla 2018, "Importance sampling of many lights with adaptive tree splitting"). A scene with few lights has no node that
 holds more than one, so its lights are compared exactly.
 
+What is estimated is light without shadows, and the brightest emitter may be hidden from the point: then the others are
+all there is, and where they are seldom chosen the picture is noisy. So at the top each group of emitters that are near
+each other, and each distant one, is chosen more often than its share where that is small.
+
 One random number makes all decisions: after each, the part that it left is stretched to [0, 1). What a float32 has too
 few digits for is filled up by a hash.
 """
@@ -30,6 +34,10 @@ _COSINE_MIN = 0.1
 # Where the light of a node of the tree comes from, about: the mean square of its emitters' distances from the middle of
 # its sphere, over the square of the radius; and how much of a cosine is not told by that middle from within the sphere
 _SPREAD, _INSIDE = 0.25, 0.3
+# What counts beside a group's own light, as a part of that of all. Choosing by sqrt(l (l + h)) loses little where all
+# light is seen: 4 % where two bring 0.95 and 0.05 of it. Of eight files three had 0.55 to 0.73 of the variance, five
+# 0.99 to 1.07; with 0.6 and 1.2, or by sqrt(l) alone, a little less in the three and up to 1.14 in the five.
+_HIDDEN = 0.3
 # Where emitters are compared, none is without a chance: counts stay within these bounds
 _LEAST, _MOST = 1e-30, 1e30
 _DRAWS = 2**24  # what a random number can be
@@ -151,6 +159,7 @@ def _make_choice(has_suns: bool, has_world: bool, local: bool, linked: bool) -> 
         SPREAD=_SPREAD,
         INSIDE=_INSIDE,
         COSINE_ERROR=COSINE_ERROR,
+        HIDDEN=_HIDDEN,
         LEAST=_LEAST,
         MOST=_MOST,
         UNIT=1 / _DRAWS,

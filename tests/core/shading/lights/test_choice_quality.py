@@ -6,7 +6,9 @@ import warp as wp
 
 from raybatch_addon.core.scene.description import Light, LightKind, Mesh
 from raybatch_addon.core.shading.lights.choice import VOLUME_SIDE
+from raybatch_addon.core.shading.lights.choice_table import BLOCK_WIDTH, FIELDS
 from raybatch_addon.core.shading.lights.table import upload_lights
+from raybatch_addon.core.shading.lights.tree.fill import top_groups
 from raybatch_addon.core.shading.lights.world import WorldLight, sampled_world
 from tests.core.shading.lights import test_light_choice
 from tests.core.shading.lights.light_probe import facing, scene_of
@@ -47,6 +49,49 @@ def test_many_emitters_are_chosen_about_as_what_they_bring(kind, monkeypatch):
         pdf = test_light_choice.chosen_from(lit, (*point, 0.0), (0, 0, 1), count=1)[3]
         variance.append((brings**2 / pdf).sum() / brings.sum() ** 2 - 1)
     assert 0 <= np.mean(variance) < MOST[kind][wp.get_device(DEVICE).is_cuda]
+
+
+def spheres(*nodes):
+    """The top's block with lamps: (x, radius, power) each."""
+    fields = np.zeros((len(FIELDS), BLOCK_WIDTH), np.float32)
+    for k, node in enumerate(nodes):
+        fields[[FIELDS.index(name) for name in ("x", "radius", "power")], k] = node
+    return fields.reshape(-1)
+
+
+def test_nodes_that_are_near_each_other_are_a_group():
+    alone, chain = (-10, 0.1, 1.0), [(each, 0.45, 1e-3) for each in range(5)]
+    groups = top_groups(spheres(alone, *chain))
+    assert groups.tolist() == [0, 1, 1, 1, 1, 1, *range(6, BLOCK_WIDTH)]
+    # what has no power joins nothing
+    assert top_groups(spheres(alone, (0, 0.1, 1.0), (-5, 6.0, 0.0), (-9.5, 0.1, 2.0))).tolist()[:4] == [0, 1, 2, 0]
+    # as near, but there is nothing farther away
+    assert top_groups(spheres(*chain)).tolist()[:5] == [0] * 5
+    assert top_groups(spheres((0, 0, 1), (0.1, 0, 1))).tolist()[:2] == [0, 1]
+    assert top_groups(spheres()).tolist() == [*range(BLOCK_WIDTH)]
+
+
+def counted(light):
+    """What groups that bring `light` count for."""
+    light = np.asarray(light, float)
+    return np.sqrt(light * (light + 0.3 * light.sum()))
+
+
+@pytest.mark.parametrize("parts", [1, 12])
+def test_what_may_be_hidden_by_itself_is_chosen_more_often_where_it_is_dim(parts):
+    """A dim pile of lamps beside a bright one and a sun: it does not matter in how many parts it is."""
+    places = [(2.0, 0.0, 3.0 + 0.01 * i) for i in range(parts)]
+    lamps = [Light("bright", LightKind.POINT, facing((-2, 0, 3), (0, 0, -1)), (1.0,) * 3)]
+    lamps += [Light("dim", LightKind.POINT, facing(place, (0, 0, -1)), (0.02 / parts,) * 3) for place in places]
+    lamps += [Light("sun", LightKind.SUN, facing((0, 0, 0), (0, 0, -1)), (0.01,) * 3)]
+    lit, _ = test_light_choice.uploaded(lamps)
+    pdf = test_light_choice.chosen_from(lit, (0, 0, 0), (0, 0, 1), count=1)[3]
+    brings = [
+        sum(power * z / (4 + z * z) ** 1.5 for z in heights)
+        for power, heights in ((1.0, [3.0]), (0.02 / parts, [place[2] for place in places]))
+    ]
+    expected = counted([*brings, 0.01])
+    np.testing.assert_allclose([pdf[0], pdf[1:-1].sum(), pdf[-1]], expected / expected.sum(), rtol=2e-3)
 
 
 def test_in_a_volume_emitters_count_by_what_comes_from_all_sides():

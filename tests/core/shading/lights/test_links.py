@@ -49,14 +49,15 @@ def on_floors(session, scene, name="Combined", **changes):
 
 def test_lights_light_their_receivers_and_are_blocked_by_their_blockers(session):
     """Suns of 1, 2 and 4 W/m² from straight above: the roof shades the right floor."""
-    suns = [dataclasses.replace(scenes.sun(strength), name=str(strength)) for strength in (1.0, 2.0, 4.0)]
     white = 0.5 / np.pi
-    assert on_floors(session, floors(suns)) == pytest.approx((7 * white, 0), rel=1e-4)
+    alike = [dataclasses.replace(scenes.sun(2.0), name=name) for name in "abc"]  # chosen by what they bring: no noise
+    assert on_floors(session, floors(alike)) == pytest.approx((6 * white, 0), rel=1e-4)
+    suns = [dataclasses.replace(scenes.sun(strength), name=str(strength)) for strength in (1.0, 2.0, 4.0)]
     suns[0] = dataclasses.replace(suns[0], light_sets=0b10)  # the left floor alone
     suns[1] = dataclasses.replace(suns[1], light_sets=ALL_LIGHT_SETS & ~0b10, shadow_sets=ALL_SHADOW_SETS & ~0b1)
     suns[2] = dataclasses.replace(suns[2], shadow_sets=ALL_SHADOW_SETS & ~0b1)
     linked = floors(suns, links=(1, 0, 0), blockers=(1, 1, 0))
-    assert on_floors(session, linked) == pytest.approx((5 * white, 6 * white), rel=1e-2)
+    assert on_floors(session, linked, sample_count=64) == pytest.approx((5 * white, 6 * white), rel=1e-2)
 
 
 def test_a_mesh_that_shines_is_blocked_by_its_blockers_alone(session):

@@ -28,6 +28,8 @@ from .topology import Alike, Topology, topology_on_cpu, topology_on_cuda
 _ITEMS_A_THREAD = 1 << 16
 # Inner nodes from which on threads of a CPU look for blocks side by side, and how many one of them takes at a time
 _NODES_APART, _NODES_TOGETHER = 512, 16
+# Nodes of the top between whose spheres there is less than this part of the extent of all are hidden together, about
+_NEAR = 0.1
 
 
 def fill_blocks(choice: ChoiceTable, boxes: EmitterBoxes, alike: Sequence[Alike] = ()) -> None:
@@ -40,6 +42,7 @@ def fill_blocks(choice: ChoiceTable, boxes: EmitterBoxes, alike: Sequence[Alike]
         _allocate(choice, 1, device)
         if count:
             wp.launch(fill_block_kernel, count, [boxes, choice], device=device)
+        _group(choice)
         return
     if device.is_cuda:
         topology = topology_on_cuda(boxes.low, boxes.high)
@@ -52,6 +55,7 @@ def fill_blocks(choice: ChoiceTable, boxes: EmitterBoxes, alike: Sequence[Alike]
     block_count = _find_blocks(tree, topology.root)
     _allocate(choice, block_count, device)
     launch_parts(fill_blocks_kernel, block_count, lambda at: [tree, choice, at], device)
+    _group(choice)
 
 
 def _joined(topology: Topology, boxes: EmitterBoxes) -> wp.array:
@@ -144,3 +148,30 @@ def _allocate(choice: ChoiceTable, block_count: int, device: wp.Device) -> None:
     choice.blocks = large_empty(block_count * BLOCK_WIDTH * len(FIELDS), float, device, zeros=True)
     choice.below = wp.full(block_count * BLOCK_WIDTH, -1, dtype=int, device=device)
     choice.above = wp.full(block_count, -1, dtype=int, device=device)
+
+
+def _group(choice: ChoiceTable) -> None:
+    """Find the groups of the topmost nodes of `choice`, whose blocks are filled in."""
+    top = choice.blocks[: BLOCK_WIDTH * len(FIELDS)].numpy()
+    choice.group = wp.array(top_groups(top), dtype=int, device=choice.blocks.device)
+
+
+def top_groups(fields: np.ndarray) -> np.ndarray:
+    """The groups of nodes of the topmost block that are near each other, or near to what is: the first node of each
+    one's group, int32, shape [BLOCK_WIDTH].
+
+    `fields`: the block's part of `ChoiceTable.blocks`, float32, shape [FIELDS * BLOCK_WIDTH].
+    """
+    rows = dict(zip(FIELDS, fields.astype(np.float64).reshape(len(FIELDS), BLOCK_WIDTH)))
+    there = np.flatnonzero(rows["power"] > 0)
+    centre = np.stack([rows[axis][there] for axis in "xyz"], 1)
+    radius = rows["radius"][there]
+    apart = np.linalg.norm(centre[:, None] - centre, axis=2)
+    reach = radius[:, None] + radius
+    near = apart - reach <= _NEAR * (apart + reach).max(initial=0)
+    for k in range(len(there)):
+        near |= near[:, k, None] & near[k]
+    group = np.arange(BLOCK_WIDTH, dtype=np.int32)
+    if len(there):
+        group[there] = there[near.argmax(1)]
+    return group
