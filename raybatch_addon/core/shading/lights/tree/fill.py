@@ -49,7 +49,7 @@ def fill_blocks(choice: ChoiceTable, boxes: EmitterBoxes, alike: Sequence[Alike]
     else:
         topology = topology_on_cpu(boxes.low.numpy(), boxes.high.numpy(), alike)
     tree = LightBlocks()
-    tree.leaf_count = count
+    tree.leaf_count, tree.root = count, topology.root
     tree.nodes = _joined(topology, boxes)
     tree.block_of = wp.zeros(count - 1, dtype=int, device=device)
     block_count = _find_blocks(tree, topology.root)
@@ -112,7 +112,7 @@ def _go_down(tree: LightBlocks, begin: np.ndarray, enough: int) -> tuple[LightBl
     block of that level, and behind its last one.
     """
     device, found = tree.nodes.device, LightBlocks()
-    found.nodes, found.leaf_count, found.block_of = tree.nodes, tree.leaf_count, tree.block_of
+    found.nodes, found.leaf_count, found.root, found.block_of = tree.nodes, tree.leaf_count, tree.root, tree.block_of
     most = tree.leaf_count - 1
     found.block_node = wp.array(begin, dtype=int, device=device)
     found.block_count = wp.array([len(begin)], dtype=int, device=device)

@@ -40,6 +40,7 @@ class TreeNode:
     held: LightNode
     first: int  # nodes below; -1: an emitter
     second: int
+    count: int  # emitters
 
 
 @wp.struct
@@ -99,6 +100,7 @@ def place_leaves_kernel(boxes: EmitterBoxes, joints: Joints, first: int, nodes: 
     node.held = boxes.nodes[emitter]
     node.first = -1
     node.second = -1
+    node.count = 1
     nodes[i] = node
 
 
@@ -170,6 +172,7 @@ def join_kernel(joints: Joints, order: wp.array(dtype=int), first: int, nodes: w
     node.held = join_directions(held, a.held, b.held)
     node.first = children[0]
     node.second = children[1]
+    node.count = a.count + b.count
     nodes[number] = node
 
 
@@ -179,15 +182,16 @@ class LightBlocks:
 
     nodes: wp.array(dtype=TreeNode)
     leaf_count: int
+    root: int  # its topmost node
     block_node: wp.array(dtype=int)  # inner node of each block, those nearer to the root first
     block_of: wp.array(dtype=int)  # block of each inner node
     block_count: wp.array(dtype=int)  # shape [1]
 
 
 @wp.func
-def _extent(tree: LightBlocks, node: int) -> float:
-    """How much is gained where `node` is replaced by its two; -1: an emitter."""
-    if node < tree.leaf_count:
+def _extent(tree: LightBlocks, node: int, least: int) -> float:
+    """How much is gained where `node` is replaced by its two; -1: it holds less than `least` emitters."""
+    if tree.nodes[node].count < least:
         return -1.0
     held = tree.nodes[node].held
     return held.power * held.radius
@@ -197,10 +201,13 @@ def _extent(tree: LightBlocks, node: int) -> float:
 def _open(tree: LightBlocks, node: int, open: wp.array(dtype=int), extents: wp.array(dtype=float)) -> int:
     """Write up to `BLOCK_WIDTH` nodes that hold all emitters below `node` to `open`; their number. Of those that are
     open the one of the most power over the widest sphere is replaced by its two, again and again. `extents` has as many
-    entries.
+    entries. Below the top, what fits into one block stays together: else most blocks would hold two or three emitters.
     """
+    least = int(2)
+    if node != tree.root and tree.nodes[node].count > wp.static(BLOCK_WIDTH):
+        least = wp.static(BLOCK_WIDTH + 1)
     open[0] = node
-    extents[0] = _extent(tree, node)
+    extents[0] = _extent(tree, node, least)
     count = int(1)
     going = bool(True)
     while going and count < wp.static(BLOCK_WIDTH):
@@ -216,8 +223,8 @@ def _open(tree: LightBlocks, node: int, open: wp.array(dtype=int), extents: wp.a
             parted = open[widest]
             open[widest] = tree.nodes[parted].first
             open[count] = tree.nodes[parted].second
-            extents[widest] = _extent(tree, open[widest])
-            extents[count] = _extent(tree, open[count])
+            extents[widest] = _extent(tree, open[widest], least)
+            extents[count] = _extent(tree, open[count], least)
             count = count + 1
     return count
 
