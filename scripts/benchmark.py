@@ -33,9 +33,10 @@ sampling, denoising, clamping or any other bias. Its time is that of the whole r
 
 --equal-error: both engines are unbiased, so their error is noise. Each renders the picture twice more, with other
 seeds and the samples of the timed runs. relMSE is half the squared difference of the two, divided by the pixel's
-squared brightness (+ 0.01), and averaged over pixels and channels. Error and time are taken as inversely proportional:
-what is compared is time x relMSE, and its inverse is reported as efficiency. Set-up counts as time, so take samples
-enough that it does not matter; a few very bright samples can rule the figure, so take samples enough for that too.
+squared brightness (+ 0.01), cut at 10, and averaged over pixels and channels. Error and time are taken as inversely
+proportional: what is compared is time x relMSE, and its inverse is reported as efficiency. Set-up counts as time, so
+take samples enough that it does not matter; a few very bright samples can rule the figure, so take samples enough for
+that too.
 
 --samples 64,256: both counts are rendered in each run, and the line through their times gives what a sample takes and
 what a render takes once (reading nothing from disk, but building trees, loading kernels, and whatever else an engine

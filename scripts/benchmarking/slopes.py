@@ -16,7 +16,7 @@ import warp as wp
 from benchmarking.progress import Steps
 from benchmarking.timing import spread
 from benchmarking.whole_render import OpenedScene, RenderRequest, scene_report, timed_render
-from raybatch_addon.core.convergence.errors import RELMSE_OFFSET
+from raybatch_addon.core.convergence.errors import RELMSE_MOST, RELMSE_OFFSET
 from raybatch_addon.core.film import Film
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
@@ -139,11 +139,12 @@ def combined(film: Film) -> np.ndarray:
 
 def relmse_of_pairs(*pairs: list[np.ndarray]) -> list[float]:
     """The relMSE of a picture of each pair of independent ones, float64 [height, width, 3]: half the mean squared
-    difference of the two, each pixel's divided by the square of its brightness in the mean of all pictures.
+    difference of the two, each pixel's divided by the square of its brightness in the mean of all pictures and cut at
+    RELMSE_MOST, as in `real_files.measures`.
     """
     pictures = [picture for pair in pairs for picture in pair]
     square = (sum(pictures) / len(pictures)) ** 2 + RELMSE_OFFSET
-    return [float((((one - other) ** 2 / 2) / square).mean()) for one, other in pairs]
+    return [float(np.minimum((one - other) ** 2 / 2 / square, RELMSE_MOST).mean()) for one, other in pairs]
 
 
 def quotient(a: float, b: float) -> float | None:

@@ -10,9 +10,10 @@ import pytest
 from benchmarking import memory, recording
 from benchmarking.render import equal_error, measured_settings
 from benchmarking.scenes import SceneRequest
-from benchmarking.slopes import Timed
+from benchmarking.slopes import Timed, relmse_of_pairs
 from benchmarking.whole_render import RenderRequest
 
+from raybatch_addon.core.convergence.errors import RELMSE_MOST
 from raybatch_addon.core.scene.archive import save_scene
 from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support import scenes
@@ -320,6 +321,14 @@ def test_error_falls_as_samples_rise():
     assert found["raybatch_over_cycles"] == pytest.approx(2, rel=0.1)
     assert found["raybatch_seconds_to_cycles_error"] == pytest.approx(2, rel=0.1)
     assert found["mean_ratio"] == pytest.approx(1, abs=1e-3)
+
+
+def test_a_bright_dot_does_not_rule_the_error():
+    picture = np.full((8, 8, 3), 0.5)
+    dotted = picture.copy()
+    dotted[2, 3] = 1e4
+    pairs = [picture, dotted], *[[picture, picture]] * 7
+    assert relmse_of_pairs(*pairs) == [pytest.approx(RELMSE_MOST / 64, rel=1e-12), *[0.0] * 7]
 
 
 def test_what_a_render_takes_once_is_separated_from_what_a_sample_takes():

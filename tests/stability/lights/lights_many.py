@@ -59,8 +59,8 @@ def _random_points(count: int) -> tuple[np.ndarray, np.ndarray]:
     "100,000 point lights",
     "lights",
     "Point lights at random positions with intensities over four decades: the sum of intensity cos / d^2 in float64.",
-    f"{STATISTICS}, and 64 roundings: of a sample; probabilities are in units of 2^-32, of which each light has at "
-    "least one, exactly as light sampling takes them.",
+    f"{STATISTICS}, and 64 roundings: of a sample; at each node of the tree probabilities are in units of 2^-24, of "
+    "which each that shines has at least one, exactly as light sampling takes them.",
 )
 def many_points(bench: Bench) -> Outcome:
     """One scene."""
