@@ -118,6 +118,11 @@ def names_that_differ(entries: list[dict[str, Any]]) -> set[str]:
     return {f"{each['repository']}/{each['path']}" for each in entries if each.get("finding", {}).get("right")}
 
 
+def names_that_ask(entries: list[dict[str, Any]]) -> set[str]:
+    """Names of the files of a list whose entry says that they ask for more than surfaces: volumes, hair, motion blur."""
+    return {f"{each['repository']}/{each['path']}" for each in entries if each.get("asks")}
+
+
 def may_be_shown(about: dict[str, Any]) -> bool:
     """Whether the licence allows pictures of the file in a document."""
     return SHOWN.fullmatch(about.get("licence", "")) is not None

@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
 
 from lib.output import json_text, write_text
-from real_files.listing import names_that_differ, read_listing
+from real_files.listing import names_that_ask, names_that_differ, read_listing
 from real_files.measures import Spread
 from real_files.rows import BLACK, EQUAL, SAME, VARIANCE
 
@@ -95,10 +95,15 @@ def tables(data: list[dict[str, Any]]) -> str:
 
 
 def _groups(files: dict[str, dict]) -> dict[str, dict[str, dict]]:
-    """All that are the same picture, those of them of which nothing is left out, and those that differ."""
+    """All that are the same picture, those of them that ask for surfaces alone and for more, those of which nothing is
+    left out, and those that differ.
+    """
     same = {name: each for name, each in files.items() if each["same"]}
+    more = names_that_ask(read_listing(LISTING))
     return {
         "same picture": same,
+        "of these, surfaces alone": {name: each for name, each in same.items() if name not in more},
+        "of these, volumes, hair, motion blur, ray portals": {name: same[name] for name in same if name in more},
         "of these, nothing left out": {name: each for name, each in same.items() if not each["left_out"]},
         "differ": {name: each for name, each in files.items() if not each["same"]},
     }
