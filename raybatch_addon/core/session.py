@@ -355,8 +355,7 @@ class Session:
                 change.close()
             if job.checkpoint:
                 job.checkpoint.wait()
-        if change and change.changed_after is not None:
-            why = f"{job.tier.why}; specialised ones took over after {change.changed_after:.1f} s"
-            job.chosen["kernel_tier"] = Choice("GENERAL", why)
+        if change:
+            job.chosen["kernel_tier"] = Choice("GENERAL", job.kernels["why"])
         if change and (complaint := self._tier_changes.complaint(change.request)):
             job.warnings.append(f"specialised kernels could not be compiled, general ones rendered: {complaint}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import warp as wp
 
@@ -16,14 +17,24 @@ from ..wavefront.kernels import StageKernels
 from .process import CompileProcess
 from .request import CompileRequest
 
-# Share of their time that general kernels lose to specialised ones
-_LOSS = 0.25
+# Share of their time that general kernels lose to specialised ones, on a CPU and on a GPU (medians of twelve and of
+# thirteen files: docs/studies/equal-error.md, docs/architecture.md)
+_LOSS, _CUDA_LOSS = 0.21, 0.36
 # Share of the compiler's time that it takes from a render on a GPU, which leaves processors idle
 _CUDA_COST = 0.1
 _POLL_SECONDS = 0.1
 
 
-def pays(request: CompileRequest, spent: float, left: float | None, device: wp.Device) -> bool:
+@dataclass(frozen=True)
+class Decision:
+    """Whether it is time to compile the specialised kernels."""
+
+    pays: bool
+    why: str  # in numbers
+    left: float | None  # what was known of the render then [s]
+
+
+def decide(request: CompileRequest, spent: float, left: float | None, device: wp.Device) -> Decision:
     """Whether it is time to compile the specialised kernels.
 
     To compile takes processors away from a render on the CPU, and little from one on a GPU; it pays where what is
@@ -35,10 +46,21 @@ def pays(request: CompileRequest, spent: float, left: float | None, device: wp.D
         spent: how long general kernels have rendered such scenes [s].
         left: of this render, if known [s].
     """
-    seconds = request.expected_seconds
+    seconds, loss = request.expected_seconds, _CUDA_LOSS if device.is_cuda else _LOSS
     cost = seconds * _CUDA_COST if device.is_cuda else seconds / worker_count(device, request.settings.thread_count)
-    worth_it = left is not None and left > seconds and (left - seconds) * _LOSS > cost
-    return worth_it or spent * _LOSS > cost
+    takes = f"compiling takes about {seconds:.0f} s of a processor"
+    if left is not None and left > seconds and (left - seconds) * loss > cost:
+        lost = (left - seconds) * loss
+        return Decision(True, f"{takes}, and of the {left:.0f} s that are left general kernels lose {lost:.0f}", left)
+    if spent * loss > cost:
+        lost = spent * loss
+        why = f"{takes}, and of {spent:.0f} s of rendering such scenes general kernels have lost {lost:.0f}"
+        return Decision(True, why, left)
+    if left is None:
+        return Decision(False, f"{takes}, and it is not known how long the render takes", left)
+    if left <= seconds:
+        return Decision(False, f"{takes} and {left:.0f} s are left, so general kernels render to the end", left)
+    return Decision(False, f"{takes}, more than general kernels lose in the {left:.0f} s that are left", left)
 
 
 class TierChanges:
@@ -52,6 +74,7 @@ class TierChanges:
         self._process: CompileProcess | None = None
         self._features: SceneFeatures | None = None  # that it compiles for
         self._closed = False
+        self.decision: Decision | None = None  # of the last `poll`, where there was something to decide
 
     def close(self) -> None:
         """End what still compiles, and begin nothing more."""
@@ -80,11 +103,16 @@ class TierChanges:
         """Why the kernels of `request` could not be compiled; empty where nothing failed."""
         return self._failed.get(request.features, "")
 
+    def is_compiling(self, request: CompileRequest) -> bool:
+        """Whether the kernels of `request` are being compiled."""
+        return self._process is not None and self._features == request.features and self._process.is_running
+
     def poll(self, request: CompileRequest, left: float | None) -> bool:
         """Begin to compile if it pays; whether specialised kernels were compiled and can be loaded.
 
         `left`: of the render, if known [s].
         """
+        self.decision = None
         ours = self._features == request.features
         if self._process is not None and not self._process.is_running:
             assert self._features is not None  # since the process was begun
@@ -97,7 +125,8 @@ class TierChanges:
                 self.fail(request.features, "what was compiled is not in the folder for kernels")
         if (self._process is not None and ours) or self._closed or request.features in self._failed:
             return False
-        if pays(request, self._spent.get(request.features, 0.0), left, self._device):
+        self.decision = decide(request, self._spent.get(request.features, 0.0), left, self._device)
+        if self.decision.pays:
             self._begin(request)
         return False
 
@@ -131,6 +160,8 @@ class TierChange:
         """`left`: how long the render will take from now on, if known [s]."""
         self.request = request
         self.changed_after: float | None = None  # seconds from here
+        self.why = ""  # the others took over, or did not; once the render is over
+        self._decision: Decision | None = None  # that counts: the first one to compile, else that with most time left
         self._changes, self._integrators = changes, integrators
         self._left, self._device = left, device
         self._over, self._begun = threading.Event(), time.perf_counter()
@@ -148,14 +179,39 @@ class TierChange:
         if self._thread:
             self._thread.join()
         seconds = time.perf_counter() - self._begun if self.changed_after is None else self.changed_after
+        self.why = self._reason(seconds)
         self._changes.spend(self.request, seconds)
         if self.changed_after is None:
             self._changes.rest(self.request)
 
+    def _reason(self, seconds: float) -> str:
+        """Why specialised kernels took over or did not, in a render that general ones rendered for `seconds`."""
+        if self.changed_after is not None:
+            decided = f": {self._decision.why}" if self._decision else ""
+            return f"specialised ones took over after {seconds:.1f} s{decided}"
+        if self._changes.complaint(self.request):
+            return "they could not be compiled"
+        if self._changes.is_compiling(self.request):
+            decided = self._decision.why if self._decision else "they are being compiled since an earlier render"
+            return f"{decided}; they were not ready before the end"
+        if self._decision:
+            return self._decision.why
+        expected = self.request.expected_seconds
+        return f"compiling takes about {expected:.0f} s of a processor, and the render took {seconds:.1f} s"
+
+    def _note(self, decision: Decision | None) -> None:
+        before = self._decision
+        if decision is None or (before and before.pays):
+            return
+        if before is None or decision.pays or (decision.left or 0.0) > (before.left or 0.0):
+            self._decision = decision
+
     def _watch(self) -> None:
         try:
             while not self._over.is_set():
-                if self._changes.poll(self.request, self._left()):
+                is_ready = self._changes.poll(self.request, self._left())
+                self._note(self._changes.decision)
+                if is_ready:
                     self._take_over()
                     return
                 self._over.wait(_POLL_SECONDS)
