@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import threading
 import time
+import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import warp as wp
 
+from ..device.compiler import CompileStoppedError
 from ..device.devices import is_compiled, load_kernels, warp_cache_folder, worker_count
 from ..errors import RayBatchError
 from ..scene.features import SceneFeatures
@@ -23,6 +25,7 @@ _LOSS, _CUDA_LOSS = 0.21, 0.36
 # Share of the compiler's time that it takes from a render on a GPU, which leaves processors idle
 _CUDA_COST = 0.1
 _POLL_SECONDS = 0.1
+_ends: weakref.WeakSet[threading.Event] = weakref.WeakSet()  # of renders that are watched
 
 
 @dataclass(frozen=True)
@@ -170,7 +173,9 @@ class TierChange:
     def go_on(self) -> None:
         """The render goes on: watch it from now on, unless it has just begun."""
         if self._thread is None and time.perf_counter() - self._begun >= _POLL_SECONDS:
-            self._thread = threading.Thread(target=self._watch, daemon=True)
+            _ends.add(self._over)
+            # Python waits for it before it ends: while a module is loaded, nothing of it may go
+            self._thread = threading.Thread(target=self._watch, name="RayBatch change of kernels", daemon=False)
             self._thread.start()
 
     def close(self) -> None:
@@ -215,12 +220,23 @@ class TierChange:
                     self._take_over()
                     return
                 self._over.wait(_POLL_SECONDS)
+        except CompileStoppedError:
+            return
         except (RayBatchError, RuntimeError, OSError, ValueError) as error:  # the render goes on as it began
             self._changes.fail(self.request.features, str(error))
 
     def _take_over(self) -> None:
-        load_kernels(self.request.kernels(self._device), self._device, lambda done, total: None)
+        load_kernels(self.request.kernels(self._device), self._device, lambda done, total: None, self._over.is_set)
         kernels = StageKernels.choose(self.request.features, self._device)
         for integrator in self._integrators:
             integrator.use_kernels(kernels)
         self.changed_after = time.perf_counter() - self._begun
+
+
+def _end_all() -> None:
+    for over in list(_ends):
+        over.set()
+
+
+# before Python waits for threads, whatever thread renders
+getattr(threading, "_register_atexit", lambda _: None)(_end_all)

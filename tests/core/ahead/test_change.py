@@ -194,3 +194,45 @@ def test_a_process_can_be_stopped(tmp_path):
     assert process.is_running and process.complaint() == ""
     process.stop()
     assert not process.is_running
+
+
+# A render on a thread that nobody waits for, watched as it goes on; the process ends once it is as far as sys.argv[1]
+ENDING = """
+import sys, threading, time
+import warp as wp
+from types import SimpleNamespace
+from raybatch_addon.core.ahead import change
+from raybatch_addon.core.device.devices import start_warp
+start_warp()
+reached, loads = threading.Event(), sys.argv[1] == "take over"
+def poll(request, left):
+    reached.set()
+    return loads
+def load_kernels(kernels, device, on_module, given_up):
+    reached.set()
+    while not given_up():
+        time.sleep(0.001)
+    time.sleep(0.2)
+    print("loaded", flush=True)
+    raise RuntimeError("nothing to take over")
+change.load_kernels = load_kernels
+changes = SimpleNamespace(poll=poll, decision=None, fail=lambda *_: None)
+request = SimpleNamespace(kernels=lambda device: [], features=None)
+watched = change.TierChange(changes, request, [], lambda: None, wp.get_device("cpu"))
+def render():
+    while True:
+        time.sleep(0.01)
+        watched.go_on()
+threading.Thread(target=render, daemon=True).start()
+reached.wait()
+"""
+
+
+@pytest.mark.parametrize(("stage", "said"), [("take over", "loaded\n"), ("watch", "")])
+def test_a_process_ends_while_its_render_is_watched(stage, said):
+    """Not under a module that is being loaded, and without waiting for a render that nobody ends."""
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+    done = subprocess.run(
+        [sys.executable, "-c", ENDING, stage], env=environment, capture_output=True, text=True, timeout=120
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, said, "")
