@@ -163,6 +163,7 @@ class Job:
             "tier": "GENERAL" if self.tier.general else "SPECIALISED",
             "why": "; ".join(why for why in whys if why),
             "specialised_after": None if changed_after is None else round(changed_after, 6),
+            "compiled_for_next": self.change is not None and self.change.compiled_for_next,
         }
 
     @property

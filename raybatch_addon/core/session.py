@@ -326,6 +326,7 @@ class Session:
                 "render",
                 fraction=fraction,
                 kernels=job.kernels_now,
+                compiles=job.change is not None and job.change.is_compiling,
                 samples_done=samples,
                 rays_per_second=rays / seconds if seconds else 0.0,
                 seconds_left=seconds_left,

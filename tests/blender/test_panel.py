@@ -237,7 +237,7 @@ def test_the_last_render_is_listed_with_errors_first(scene):
     report.errors.append("no camera")
     report.statistics["ViewLayer"] = {
         "seconds": {"total": 2.5, "render": 2.0, "tree": 0.5, "check": 0.001, "build": 0.5},
-        "kernels": {"tier": "GENERAL", "why": "they are ready", "specialised_after": None},
+        "kernels": {"tier": "GENERAL", "why": "they are ready", "specialised_after": None, "compiled_for_next": False},
         "rays": {"total": 4_000_000},
         "device": {"alias": "cpu"},
         "invalid_samples": 3,
@@ -302,8 +302,12 @@ def test_the_preferences_show_how_far_general_kernels_are(addon, monkeypatch):
 
 
 def test_kernels_that_others_took_over_from_are_reported():
-    kernels = {"tier": "GENERAL", "why": "they are ready", "specialised_after": 12.34}
+    kernels = {"tier": "GENERAL", "why": "they are ready", "specialised_after": 12.34, "compiled_for_next": False}
     assert last_render._kernels_line(kernels) == "Kernels: general ones, and after 12.3 s specialised ones"
+    kernels |= {"specialised_after": None, "compiled_for_next": True}
+    assert last_render._kernels_line(kernels) == (
+        "Kernels: general ones; they are ready; specialised ones are compiled for the next render"
+    )
 
 
 def test_work_on_trees_in_words():

@@ -37,7 +37,7 @@ class Decision:
     left: float | None  # what was known of the render then [s]
 
 
-def decide(request: CompileRequest, spent: float, left: float | None, device: wp.Device) -> Decision:
+def weigh_compiling(request: CompileRequest, spent: float, left: float | None, device: wp.Device) -> Decision:
     """Whether it is time to compile the specialised kernels.
 
     To compile takes processors away from a render on the CPU, and little from one on a GPU; it pays where what is
@@ -108,7 +108,8 @@ class TierChanges:
 
     def is_compiling(self, request: CompileRequest) -> bool:
         """Whether the kernels of `request` are being compiled."""
-        return self._process is not None and self._features == request.features and self._process.is_running
+        process = self._process  # another thread may end it
+        return process is not None and self._features == request.features and process.is_running
 
     def poll(self, request: CompileRequest, left: float | None) -> bool:
         """Begin to compile if it pays; whether specialised kernels were compiled and can be loaded.
@@ -128,7 +129,7 @@ class TierChanges:
                 self.fail(request.features, "what was compiled is not in the folder for kernels")
         if (self._process is not None and ours) or self._closed or request.features in self._failed:
             return False
-        self.decision = decide(request, self._spent.get(request.features, 0.0), left, self._device)
+        self.decision = weigh_compiling(request, self._spent.get(request.features, 0.0), left, self._device)
         if self.decision.pays:
             self._begin(request)
         return False
@@ -163,6 +164,7 @@ class TierChange:
         """`left`: how long the render will take from now on, if known [s]."""
         self.request = request
         self.changed_after: float | None = None  # seconds from here
+        self.compiled_for_next = False  # whether they were still compiled when the render was over
         self.why = ""  # the others took over, or did not; once the render is over
         self._decision: Decision | None = None  # that counts: the first one to compile, else that with most time left
         self._changes, self._integrators = changes, integrators
@@ -178,6 +180,11 @@ class TierChange:
             self._thread = threading.Thread(target=self._watch, name="RayBatch change of kernels", daemon=False)
             self._thread.start()
 
+    @property
+    def is_compiling(self) -> bool:
+        """Whether the specialised kernels are being compiled."""
+        return self._changes.is_compiling(self.request)
+
     def close(self) -> None:
         """The render is over."""
         self._over.set()
@@ -188,6 +195,7 @@ class TierChange:
         self._changes.spend(self.request, seconds)
         if self.changed_after is None:
             self._changes.rest(self.request)
+            self.compiled_for_next = self.is_compiling
 
     def _reason(self, seconds: float) -> str:
         """Why specialised kernels took over or did not, in a render that general ones rendered for `seconds`."""
@@ -196,7 +204,7 @@ class TierChange:
             return f"specialised ones took over after {seconds:.1f} s{decided}"
         if self._changes.complaint(self.request):
             return "they could not be compiled"
-        if self._changes.is_compiling(self.request):
+        if self.is_compiling:
             decided = self._decision.why if self._decision else "they are being compiled since an earlier render"
             return f"{decided}; they were not ready before the end"
         if self._decision:

@@ -16,7 +16,7 @@ import pytest
 import warp as wp
 
 from raybatch_addon.core.ahead import change
-from raybatch_addon.core.ahead.change import Decision, TierChange, TierChanges, decide
+from raybatch_addon.core.ahead.change import Decision, TierChange, TierChanges, weigh_compiling
 from raybatch_addon.core.ahead.process import CompileProcess
 from raybatch_addon.core.ahead.request import CORE, CompileRequest, GeneralRequest, decode_request, encode_request
 from raybatch_addon.core.device.kernel import block_size_of
@@ -39,7 +39,7 @@ def test_when_compiling_pays():
     assert seconds > 0
 
     def pays(spent, left, device=device):
-        return decide(request, spent, left, device).pays
+        return weigh_compiling(request, spent, left, device).pays
 
     assert not pays(0.0, None) and not pays(0.0, seconds)
     assert pays(0.0, 6 * seconds), "a long render"
@@ -55,7 +55,7 @@ def test_a_decision_says_why_in_numbers():
     takes = "compiling takes about 20 s of a processor"
 
     def why(spent, left, device=device):
-        return decide(request, spent, left, device).why
+        return weigh_compiling(request, spent, left, device).why
 
     assert why(0.0, None) == f"{takes}, and it is not known how long the render takes"
     assert why(0.0, 3.0) == f"{takes} and 3 s are left, so general kernels render to the end"
@@ -129,7 +129,7 @@ def test_a_process_that_fails_says_why_in_a_line(tmp_path, monkeypatch):
     changes = TierChanges(wp.get_device(DEVICE))
     request = CompileRequest(derive_features(scenes.mixed(), SETTINGS), SETTINGS, TracingPlan(Method.UNBATCHED))
     started = []
-    monkeypatch.setattr(change, "decide", lambda *_: Decision(True, "", None))
+    monkeypatch.setattr(change, "weigh_compiling", lambda *_: Decision(True, "", None))
     monkeypatch.setattr(change, "CompileProcess", lambda *_: started.append(1) or process)
     assert not changes.poll(request, None) and not changes.poll(request, None) and not changes.poll(request, None)
     assert started == [1] and "cuda:77" in changes.complaint(request)
@@ -156,7 +156,9 @@ def test_what_a_render_lacked_is_compiled_after_it_where_the_process_stays(monke
         for smooth in (False, True)
     )
     for request in (first, first, second):
-        TierChange(changes, request, [], lambda: 0.0, wp.get_device(DEVICE)).close()
+        watched = TierChange(changes, request, [], lambda: 0.0, wp.get_device(DEVICE))
+        watched.close()
+        assert watched.is_compiling == watched.compiled_for_next == between
     assert started == ([first.features, "stopped", second.features] if between else [])
     changes.close()
     changes.rest(first)  # too late
