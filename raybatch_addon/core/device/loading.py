@@ -112,10 +112,10 @@ def load_here_what_is_launched() -> None:
 def _load(module: wp.Module, device: wp.Device, block_size: int, given_up: Callable[[], bool] | None) -> None:
     failed: set[KernelFiles] = set()
     for left in reversed(range(_TRIES)):
+        if given_up is not None and given_up():
+            raise CompileStoppedError
         files = find_files(module, device, block_size)
         if files is None:
-            if given_up is not None and given_up():
-                raise CompileStoppedError
             with given_up_when(given_up or given_up_now()), compiling_noted():
                 files = _compile(module, device, block_size)
         try:
