@@ -3,6 +3,7 @@
 import gc
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from warp._src.codegen import Adjoint
 
 from raybatch_addon.core import session as session_module
 from raybatch_addon.core.ahead import change
+from raybatch_addon.core.ahead.change import Decision
 from raybatch_addon.core.device.devices import is_compiled
 from raybatch_addon.core.device.kernel import is_general
 from raybatch_addon.core.errors import SettingsError
@@ -158,6 +160,11 @@ def test_specialised_kernels_take_over_in_the_middle(name, monkeypatch):
     assert turns[2] != turns[3] == StageKernels.choose(features, wp.get_device(DEVICE))
 
 
+def choose_general_by_itself(features, setting, device):
+    """General kernels where the setting leaves the choice, whatever is compiled."""
+    return replace(choose_tier(features, setting.replace("AUTO", "GENERAL"), device), asked=setting)
+
+
 @ON_CPU
 def test_a_render_changes_by_itself_where_that_pays(monkeypatch):
     """What is compiled meanwhile is used, and statistics say so."""
@@ -171,13 +178,7 @@ def test_a_render_changes_by_itself_where_that_pays(monkeypatch):
 
     monkeypatch.setattr(change.TierChanges, "poll", compiled)
     monkeypatch.setattr(change, "_POLL_SECONDS", 0.001)
-    monkeypatch.setattr(
-        session_module,
-        "choose_tier",
-        lambda features, setting, device: replace(
-            choose_tier(features, setting.replace("AUTO", "GENERAL"), device), asked=setting
-        ),
-    )
+    monkeypatch.setattr(session_module, "choose_tier", choose_general_by_itself)
     session = Session(DEVICE)
     film = session.render(scene, settings)
     assert asked == [derive_features(scene, settings)]
@@ -185,6 +186,23 @@ def test_a_render_changes_by_itself_where_that_pays(monkeypatch):
     assert chosen["value"] == "GENERAL" and "took over after" in chosen["why"]
     assert film.statistics["kernels"]["why"] == chosen["why"]
     assert_same(film, Session(DEVICE).render(scene, settings.replace(kernel_tier="SPECIALISED")))
+
+
+@ON_CPU
+def test_what_is_compiled_beside_a_render_is_told(monkeypatch):
+    told, process = [], SimpleNamespace(is_running=True, stop=lambda: None)
+    monkeypatch.setattr(change, "_POLL_SECONDS", 0.001)
+    monkeypatch.setattr(change, "weigh_compiling", lambda *_: Decision(True, "it pays", None))
+    monkeypatch.setattr(change, "CompileProcess", lambda *_: process)
+    monkeypatch.setattr(session_module, "choose_tier", choose_general_by_itself)
+    session = Session(DEVICE)
+    settings = SETTINGS.replace(sample_count=256, tile_size=16)
+    film = session.render(scenes.mixed(Frame(64, 64)), settings, on_progress=lambda each: told.append(each.compiles))
+    session.close()
+    assert any(told)
+    kernels = film.statistics["kernels"]
+    assert kernels["compiled_for_next"] and kernels["specialised_after"] is None
+    assert kernels["why"].endswith("; it pays; they were not ready before the end")
 
 
 @ON_CPU
