@@ -277,5 +277,6 @@ def status_text(progress: Progress) -> str:
         parts.append(f"{minutes:d}:{seconds:02d} left")
     parts += memory
     if progress.kernels:
-        parts.append(f"{progress.kernels} kernels")
+        beside = ", compiling specialised ones" if progress.compiles else ""
+        parts.append(f"{progress.kernels} kernels{beside}")
     return " | ".join(parts)

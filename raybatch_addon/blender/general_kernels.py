@@ -31,7 +31,9 @@ def is_compiling() -> bool:
 def state() -> str:
     """How far they are, in a few words."""
     if is_compiling():
-        return "being compiled in the background; renders compile what they need until then"
+        assert _process is not None  # since it compiles
+        counted = "" if _process.progress is None else ", {} of {} ready".format(*_process.progress)
+        return f"being compiled in the background{counted}; renders compile what they need until then"
     if failure := _failure or (_process.complaint() if _process else ""):
         return f"could not be compiled: {failure}"
     if not _process:

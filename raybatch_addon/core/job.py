@@ -158,10 +158,12 @@ class Job:
     def kernels(self) -> dict[str, Any]:
         """Which kernels render, for the statistics."""
         changed_after = self.change.changed_after if self.change else None
+        whys = [self.tier.why, self.change.why if self.change else ""]
         return {
             "tier": "GENERAL" if self.tier.general else "SPECIALISED",
-            "why": self.tier.why,
+            "why": "; ".join(why for why in whys if why),
             "specialised_after": None if changed_after is None else round(changed_after, 6),
+            "compiled_for_next": self.change is not None and self.change.compiled_for_next,
         }
 
     @property

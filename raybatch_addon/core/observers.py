@@ -28,6 +28,7 @@ class Progress:
     memory_peak: int  # the most that was held so far
     message: str
     kernels: str = ""  # that render: "general" or "specialised"; empty before the first ray
+    compiles: bool = False  # specialised kernels are compiled beside, to take over or for the next render
     seconds_rendering: float = 0.0  # part of `seconds_elapsed` in which rays are traced; `rays_per_second` refers to it
 
 

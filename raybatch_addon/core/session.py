@@ -326,6 +326,7 @@ class Session:
                 "render",
                 fraction=fraction,
                 kernels=job.kernels_now,
+                compiles=job.change is not None and job.change.is_compiling,
                 samples_done=samples,
                 rays_per_second=rays / seconds if seconds else 0.0,
                 seconds_left=seconds_left,
@@ -355,8 +356,7 @@ class Session:
                 change.close()
             if job.checkpoint:
                 job.checkpoint.wait()
-        if change and change.changed_after is not None:
-            why = f"{job.tier.why}; specialised ones took over after {change.changed_after:.1f} s"
-            job.chosen["kernel_tier"] = Choice("GENERAL", why)
+        if change:
+            job.chosen["kernel_tier"] = Choice("GENERAL", job.kernels["why"])
         if change and (complaint := self._tier_changes.complaint(change.request)):
             job.warnings.append(f"specialised kernels could not be compiled, general ones rendered: {complaint}")

@@ -85,7 +85,8 @@ def _kernels_line(kernels: dict[str, Any]) -> str:
     """Which kernels rendered, and why these."""
     if (after := kernels["specialised_after"]) is not None:
         return f"Kernels: general ones, and after {after:.1f} s specialised ones"
-    return f"Kernels: {kernels['tier'].lower()} ones; {kernels['why']}"
+    after = "; specialised ones are compiled for the next render" if kernels["compiled_for_next"] else ""
+    return f"Kernels: {kernels['tier'].lower()} ones; {kernels['why']}{after}"
 
 
 def _tree_lines(tree: dict[str, Any] | None) -> list[str]:

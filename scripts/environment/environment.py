@@ -6,6 +6,7 @@ is done.
 
 import hashlib
 import json
+import re
 import subprocess
 import sys
 import tomllib
@@ -13,6 +14,8 @@ import venv
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
+PROGRESS = re.compile(r"compiled (\d+) of \d+ modules")  # a line of `render.py --prewarm`
+MODULES_A_LINE = 10
 GROUPS = ("scripts", "blender", "test")
 
 
@@ -58,14 +61,19 @@ def main() -> int:
 
 def compile_kernels(python: Path) -> None:
     """Compile what any scene can begin with, so that the first render need not wait for it."""
-    print(
-        "RayBatch: compiling the kernels that any scene can begin with; this takes two or three minutes",
-        file=sys.stderr,
-    )
+    print("RayBatch: compiling the kernels that any scene can begin with; this takes a minute or two", file=sys.stderr)
     command = [str(python), str(ROOT / "scripts/render.py"), "--prewarm", "--device", "cpu"]
-    done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True)
-    if done.returncode:  # renders compile what they need
-        print(f"RayBatch: they could not be compiled: {done.stderr.strip()[-300:]}", file=sys.stderr)
+    last = ""
+    with subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    ) as process:
+        for line in process.stderr or ():
+            last = line.strip() or last
+            if found := PROGRESS.fullmatch(last):
+                if int(found[1]) % MODULES_A_LINE == 0:
+                    print(f"RayBatch: {last}", file=sys.stderr, flush=True)
+    if process.returncode:  # renders compile what they need
+        print(f"RayBatch: they could not be compiled: {last[-300:]}", file=sys.stderr)
 
 
 if __name__ == "__main__":

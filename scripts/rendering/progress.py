@@ -57,7 +57,8 @@ def progress_text(progress: Progress) -> str:
         return progress.message
     rays = f"{progress.rays_per_second / 1e6:.2f} Mrays/s"
     left = "" if progress.seconds_left is None else f", {_clock(progress.seconds_left)} left"
-    return f"{progress.samples_done:.1f}/{progress.samples_total} samples, {rays}{left}"
+    beside = ", compiling specialised kernels" if progress.compiles else ""
+    return f"{progress.samples_done:.1f}/{progress.samples_total} samples, {rays}{left}{beside}"
 
 
 def _clock(seconds: float) -> str:

@@ -37,6 +37,14 @@ def test_the_background_compiles_for_all_devices(tmp_path, monkeypatch):
         assert general_kernels.is_compiling()
         general_kernels._process.wait()
         assert general_kernels.state() == "ready: a scene's first render waits for no compiler"
+        done, total = general_kernels._process.progress
+        assert done == total == len(modules)
     finally:
         general_kernels.stop()
     assert list(missing.glob("*.o"))
+
+
+@pytest.mark.parametrize(("progress", "counted"), [(None, "background; "), ((37, 79), "background, 37 of 79 ready; ")])
+def test_how_far_the_background_is_can_be_read(monkeypatch, progress, counted):
+    monkeypatch.setattr(general_kernels, "_process", SimpleNamespace(is_running=True, progress=progress))
+    assert general_kernels.state() == f"being compiled in the {counted}renders compile what they need until then"

@@ -1,13 +1,14 @@
 """Settings and panels in Blender."""
 
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from raybatch_addon.blender import reports, sessions
+from raybatch_addon.blender import general_kernels, reports, sessions
 from raybatch_addon.core.errors import SettingsError
 from raybatch_addon.core.settings.settings import BYTES, GROUPS, SETTINGS, RenderSettings
 from raybatch_addon.export.passes import (
@@ -19,13 +20,13 @@ from raybatch_addon.export.passes import (
     VOLUME_PASS_PROPERTIES,
 )
 from raybatch_addon.export.settings import assign_setting, settings_from
-from raybatch_addon.ui import builtin_panels, last_render
+from raybatch_addon.ui import builtin_panels, last_render, preferences
 from raybatch_addon.ui.devices import CHOICE
 from raybatch_addon.ui.panel import free_width, label_width
 from raybatch_addon.ui.properties import megabytes_name, switch_name
 from raybatch_addon.ui.render_panels import shown_name
 from tests.support.blender_builders import add_grid
-from tests.support.panel_layout import ENGINE, context_of, drawn, enabled_panels, own_panels
+from tests.support.panel_layout import ENGINE, Layout, context_of, drawn, enabled_panels, own_panels
 
 
 @pytest.mark.parametrize("name", list(SETTINGS))
@@ -236,7 +237,7 @@ def test_the_last_render_is_listed_with_errors_first(scene):
     report.errors.append("no camera")
     report.statistics["ViewLayer"] = {
         "seconds": {"total": 2.5, "render": 2.0, "tree": 0.5, "check": 0.001, "build": 0.5},
-        "kernels": {"tier": "GENERAL", "why": "they are ready", "specialised_after": None},
+        "kernels": {"tier": "GENERAL", "why": "they are ready", "specialised_after": None, "compiled_for_next": False},
         "rays": {"total": 4_000_000},
         "device": {"alias": "cpu"},
         "invalid_samples": 3,
@@ -292,9 +293,21 @@ def test_the_last_render_shows_geometry_beyond_memory(scene):
     assert drawn(last_render.RAYBATCH_RENDER_PT_last_render, context_of(scene))
 
 
+def test_the_preferences_show_how_far_general_kernels_are(addon, monkeypatch):
+    monkeypatch.setattr(general_kernels, "_process", SimpleNamespace(is_running=True, progress=(37, 79)))
+    layout = Layout()
+    preferences.RayBatchPreferences.draw(SimpleNamespace(layout=layout), None)
+    assert "37 of 79 ready" in layout.notes[0][1]
+    assert layout.notes[1][1] == preferences.RAYBATCH_OT_compile_general_kernels.bl_idname
+
+
 def test_kernels_that_others_took_over_from_are_reported():
-    kernels = {"tier": "GENERAL", "why": "they are ready", "specialised_after": 12.34}
+    kernels = {"tier": "GENERAL", "why": "they are ready", "specialised_after": 12.34, "compiled_for_next": False}
     assert last_render._kernels_line(kernels) == "Kernels: general ones, and after 12.3 s specialised ones"
+    kernels |= {"specialised_after": None, "compiled_for_next": True}
+    assert last_render._kernels_line(kernels) == (
+        "Kernels: general ones; they are ready; specialised ones are compiled for the next render"
+    )
 
 
 def test_work_on_trees_in_words():

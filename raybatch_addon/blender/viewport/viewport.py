@@ -165,7 +165,7 @@ def live_status(state: LiveState) -> str:
     memory = f" | Memory {state.memory_bytes / 2**20:.0f} MB" if state.memory_bytes else ""
     if state.stage != "Rendering":
         return state.stage + memory
-    return samples + memory
+    return samples + memory + (" | compiling specialised kernels" if state.compiles else "")
 
 
 def with_warnings(text: str, warnings: Sequence[str]) -> str:

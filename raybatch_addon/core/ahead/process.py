@@ -23,6 +23,7 @@ _CHILD = "import sys; sys.path[:0] = [sys.argv[1]]; from core.ahead.process impo
 _NICENESS = 10
 _COMPLAINT_LENGTH = 1000
 _LENGTHS = "<QQ"  # of the order and of the request, before both
+_PROGRESS = "modules: "  # begins a line of the answer that says how many modules there are, and of how many
 _running: list[CompileProcess] = []  # and some that have ended
 
 
@@ -35,6 +36,7 @@ class CompileProcess:
         `request`: what to compile (default: the general kernels). Raises `OSError` where no process can be started.
         """
         self._last_line = ""
+        self.progress: tuple[int, int] | None = None  # modules that are there, and all; None: not counted yet
         order = {
             "paths": [path for path in sys.path if path],
             "cache": str(cache_folder),
@@ -58,6 +60,9 @@ class CompileProcess:
             creationflags=flags,
         )
         assert self._process.stdin is not None  # a pipe
+        # else the answer would fill its pipe
+        self._reader = threading.Thread(target=self._read, args=(self._process.stderr,), daemon=True)
+        self._reader.start()
         _running[:] = [each for each in _running if each.is_running] + [self]
         with contextlib.suppress(OSError):  # it has ended: `complaint` says why
             # the pipe stays open: its end lets the other process know that this one is gone
@@ -80,12 +85,19 @@ class CompileProcess:
         return self._report() if self._process.poll() == 0 else ""
 
     def _report(self) -> str:
-        assert self._process.stderr is not None  # a pipe
-        if not self._process.stderr.closed:
-            with self._process.stderr as pipe:
-                lines = pipe.read().decode("utf-8", "replace").strip().splitlines()
-            self._last_line = lines[-1] if lines else ""
+        self._reader.join()
         return self._last_line
+
+    def _read(self, pipe: BinaryIO) -> None:
+        """Take in the answer, line by line, until its end."""
+        with pipe:
+            for line in pipe:
+                text = line.decode("utf-8", "replace").strip()
+                if text.startswith(_PROGRESS):
+                    done, total = text.removeprefix(_PROGRESS).split()
+                    self.progress = int(done), int(total)
+                elif text:
+                    self._last_line = text
 
     def wait(self) -> None:
         """Wait until the process has ended."""
@@ -96,6 +108,7 @@ class CompileProcess:
         if self._process.poll() is None:
             self._process.kill()
             self._process.wait()
+            self._reader.join()
 
 
 def stop_all() -> None:
@@ -111,8 +124,8 @@ def compile_as_asked() -> None:
     """The other process: compile what standard input asks for."""
     if hasattr(os, "nice"):
         os.nice(_NICENESS)
-    # compilers may write more than a pipe holds that nobody reads: what went wrong is one line
-    answer = os.fdopen(os.dup(2), "w")
+    # compilers may write what nobody asked for: the answer is how far this is, and in the end one line
+    answer = os.fdopen(os.dup(2), "w", buffering=1, encoding="utf-8")
     with open(os.devnull, "wb") as nothing:
         os.dup2(nothing.fileno(), 2)
     try:
@@ -131,8 +144,15 @@ def compile_as_asked() -> None:
         start_warp(order["cache"])
         remove_abandoned()
         request = decode_request(data, order["core"]) if data else GeneralRequest()
-        for device in [find_device(order["device"])] if order["device"] != "ALL" else one_of_each_kind():
-            load_kernels(request.kernels(device), device, lambda done, total: None)
+        devices = [find_device(order["device"])] if order["device"] != "ALL" else one_of_each_kind()
+        kernels = [request.kernels(device) for device in devices]
+        counts = [len({each.module.name for each in of_one}) for of_one in kernels]
+        for number, device in enumerate(devices):
+
+            def tell(done: int, _of_device: int, before: int = sum(counts[:number])) -> None:
+                answer.write(f"{_PROGRESS}{before + done} {sum(counts)}\n")
+
+            load_kernels(kernels[number], device, tell)
         answer.write("; ".join(take_notes()))
         answer.close()
     except Exception as error:  # whatever it is, who asked goes on without, and says so

@@ -29,6 +29,7 @@ from .kept_kernels import (
     spare_folder,
 )
 from .kernel import MODULE_OPTIONS, OUT_OF_LINE_OPTIONS
+from .notes import compiling_noted
 from .shipped import refuse, shipped_files
 
 _TRIES = 3  # another process may take away what is damaged, just when it was found
@@ -111,11 +112,11 @@ def load_here_what_is_launched() -> None:
 def _load(module: wp.Module, device: wp.Device, block_size: int, given_up: Callable[[], bool] | None) -> None:
     failed: set[KernelFiles] = set()
     for left in reversed(range(_TRIES)):
+        if given_up is not None and given_up():
+            raise CompileStoppedError
         files = find_files(module, device, block_size)
         if files is None:
-            if given_up is not None and given_up():
-                raise CompileStoppedError
-            with given_up_when(given_up or given_up_now()):
+            with given_up_when(given_up or given_up_now()), compiling_noted():
                 files = _compile(module, device, block_size)
         try:
             loaded = module.load(

@@ -23,7 +23,7 @@ from ..settings.settings import RenderSettings
 from .picture import LivePicture, LiveRequest, TileCanvas
 from .steps import Pace, coarse
 
-_STAGES = {"build": "Building the scene", "compile": "Compiling kernels", "render": "Rendering"}
+_STAGES = {"build": "Building the scene", "compile": "Loading kernels", "render": "Rendering"}
 
 
 class SessionSource(Protocol):
@@ -48,6 +48,7 @@ class LiveState:
     samples_total: int = 0
     side: int = 0  # of the pixels that are rendered, in pixels of the frame; 0: none
     memory_bytes: int = 0
+    compiles: bool = False  # specialised kernels are compiled beside
 
 
 class LiveRender:
@@ -247,6 +248,7 @@ class LiveRender:
                 samples_total=request.settings.sample_count,
                 side=side,
                 memory_bytes=progress.memory_bytes,
+                compiles=progress.compiles,
             )
             if is_new and progress.stage != "render":
                 self._on_change()

@@ -6,6 +6,8 @@ import threading
 import time
 from collections.abc import Callable
 
+from ..device.notes import is_any_compiled
+
 # Parts of a render in their order, and what a status line says while they go on
 PARTS = {
     "export": "Reading the scene",
@@ -19,13 +21,14 @@ PARTS = {
     "materials": "Uploading materials",
     "lights": "Measuring lights",
     "volumes": "Measuring volumes",
-    "kernels": "Compiling kernels",
+    "kernels": "Loading kernels",
     "paths": "Making room for paths",
     "render": "Rendering",
     "report": "Gathering statistics",
     "denoise": "Denoising",
     "write": "Handing over the picture",
 }
+_COMPILING = "Compiling kernels"  # what it says where they are not there to be loaded
 # Those of a scene on its device; their sum is reported as `build`
 BUILD_PARTS = ("images", "tree", "materials", "lights", "volumes")
 
@@ -44,7 +47,7 @@ class Parts:
     @property
     def message(self) -> str:
         """What is being done, for a status line."""
-        return PARTS[self.part]
+        return _COMPILING if self.part == "kernels" and is_any_compiled() else PARTS[self.part]
 
     @property
     def elapsed(self) -> float:

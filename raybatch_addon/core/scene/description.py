@@ -235,7 +235,7 @@ class Material:
     name: str
     closures: tuple[Closure, ...] = ()  # closures with a weight above 0
     # Kinds that the material's nodes can have when a slider moves (by node kind, not by value). Kernels are compiled
-    # for these, so that moving a slider never compiles. Includes the kinds of `closures`, and OWN_NORMAL where
+    # for these, so that few sliders compile anything. Includes the kinds of `closures`, and OWN_NORMAL where
     # `program` gives a closure a normal other than 0, which kernels without it ignore.
     kinds: tuple[ClosureKind, ...] = ()
     program: Program | None = None  # makes the closures at every point, instead of `closures`

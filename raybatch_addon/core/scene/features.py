@@ -1,8 +1,8 @@
 """Features of a scene: they decide what is compiled, allocated, uploaded and launched for it.
 
 Pure functions derive `SceneFeatures` from the scene and the settings. Materials count by the kinds that their nodes can
-have, not by the values of their sockets, so that moving a slider never compiles. Each kernel is specialised on the few
-of these features that concern it.
+have, not by the values of their sockets, so that most sliders compile nothing; docs/architecture.md lists those that
+do, while general kernels render. Each kernel is specialised on the few of these features that concern it.
 """
 
 from __future__ import annotations

@@ -5,6 +5,8 @@ import subprocess
 import sys
 import textwrap
 import threading
+import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +14,18 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from raybatch_addon.blender import reports, sessions
+from raybatch_addon.blender import frame, reports, sessions
 from raybatch_addon.core import session as core_session
-from raybatch_addon.core.ahead import prepare
+from raybatch_addon.core.ahead import change, prepare
+from raybatch_addon.core.device.compiler import CompileStoppedError
+from raybatch_addon.core.measure.parts import PARTS
+from raybatch_addon.core.shading.images.image_upload import ImageCache
 from raybatch_addon.core.wavefront import integrator
 from raybatch_addon.core.wavefront.render import workers
+from raybatch_addon.core.wavefront.render.workers import WorkersFor
 from raybatch_addon.core.wavefront.scene import device_scene
 from raybatch_addon.core.wavefront.scene.scene_cache import SceneCache
+from raybatch_addon.core.wavefront.tier import choose_tier
 from tests.blender.bad_input.outcomes import BACKGROUND, assert_fails, assert_picture, render
 from tests.support.blender_watch import watch_engines
 
@@ -145,11 +152,14 @@ def test_a_process_whose_render_fails_ends_by_its_own_will(tmp_path):
 # --- cancelling
 
 
+WAITING = PARTS["wait"]
 # What may take long before the first ray
 LONG = {
     "kernels": (prepare, "load_kernels"),
     "displacement": (SceneCache, "displaced"),
+    "images": (ImageCache, "upload"),
     "tree": (SceneCache, "get"),
+    "materials": (device_scene, "upload_materials"),
     "lights": (device_scene, "upload_lights"),
     "volumes": (device_scene, "upload_volumes"),
 }
@@ -193,6 +203,86 @@ def test_a_cancel_does_not_wait_for_what_takes_long(lit, monkeypatch, films, sta
     assert reports.last().errors == []
     bpy.ops.render.render()
     assert finished.is_set() and films[1].complete
+
+
+@pytest.mark.usefixtures("general_kernels")
+def test_a_cancel_while_a_cancelled_render_is_waited_for(lit, monkeypatch, films):
+    """The second render waits for the tree of the first, and is cancelled too: neither waits any longer."""
+    sessions.close_all()
+    entered, release, parts = threading.Event(), threading.Event(), []
+    whole = SceneCache.get
+
+    def endless(*arguments, **options):
+        entered.set()
+        release.wait(30)
+        return whole(*arguments, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(SceneCache, "get", endless)
+        with monkeypatch.context() as first:
+            watch_engines(first, test_break=lambda _engine: entered.is_set())
+            bpy.ops.render.render()
+        waited = threading.Event()
+        patch.setattr(frame, "PLAIN_SECONDS", 0.0)
+        watch_engines(
+            patch,
+            test_break=lambda _engine: waited.is_set(),
+            update_stats=lambda _engine, _layer, text: waited.set() if WAITING in text else parts.append(text),
+        )
+        bpy.ops.render.render()
+        assert waited.is_set(), parts
+        release.set()
+    assert [film.complete for film in films] == [False, False] and reports.last().errors == []
+    bpy.ops.render.render()
+    assert films[2].complete
+
+
+@pytest.mark.usefixtures("general_kernels")
+def test_a_cancel_while_room_for_paths_is_made(lit, monkeypatch, films):
+    entered, whole = threading.Event(), WorkersFor.get
+
+    def get(*arguments):
+        entered.set()
+        return whole(*arguments)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(WorkersFor, "get", get)
+        watch_engines(patch, test_break=lambda _engine: entered.is_set())
+        bpy.ops.render.render()
+    assert entered.is_set() and not films[0].complete and films[0].sample_count == 0
+    assert reports.last().errors == []
+    bpy.ops.render.render()
+    assert films[1].complete
+
+
+def test_a_cancel_while_other_kernels_take_over(lit, monkeypatch, films):
+    """What loads them is told, and the render waits for no more of them."""
+    lit.raybatch.sample_count = 2**20
+    entered, told = threading.Event(), threading.Event()
+
+    def load_kernels(_kernels, _device, _on_module, given_up):
+        entered.set()
+        for _ in range(30_000):
+            if given_up():
+                told.set()
+                raise CompileStoppedError
+            time.sleep(0.001)
+
+    def choose(features, setting, device):
+        return replace(choose_tier(features, "GENERAL", device), asked=setting)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(core_session, "choose_tier", choose)
+        patch.setattr(change.TierChanges, "poll", lambda *_: True)
+        patch.setattr(change, "load_kernels", load_kernels)
+        watch_engines(patch, test_break=lambda _engine: entered.is_set())
+        bpy.ops.render.render()
+    assert told.is_set() and not films[0].complete and films[0].counts.max() > 0
+    assert reports.last().errors == reports.last().warnings == []
+    assert films[0].statistics["kernels"]["specialised_after"] is None
+    lit.raybatch.sample_count = 2
+    bpy.ops.render.render()
+    assert films[1].complete
 
 
 def test_a_cancel_during_export_renders_nothing(lit, monkeypatch, films):

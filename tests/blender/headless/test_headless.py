@@ -4,6 +4,7 @@ import itertools
 import subprocess
 import sys
 from contextlib import contextmanager
+from dataclasses import replace
 
 import pytest
 
@@ -126,6 +127,16 @@ def test_lines_of_progress_come_at_most_every_five_seconds(monkeypatch):
     times = [time for time, _ in lines]
     assert len(lines) == 3 and min(later - time for time, later in itertools.pairwise(times)) >= 5
     assert lines[1][1].startswith("Sample 3/16 | "), "as Cycles has it, for those who read it"
+
+
+def test_the_status_line_says_that_kernels_are_compiled_beside():
+    samples = dict(samples_done=3, samples_total=16, rays_per_second=1e6, seconds_elapsed=1.0, seconds_left=None)
+    progress = Progress(
+        stage="render", fraction=0.5, message="", memory_bytes=0, memory_peak=0, kernels="general", **samples
+    )
+    assert frame.status_text(progress).endswith(" | general kernels")
+    beside = replace(progress, compiles=True)
+    assert frame.status_text(beside).endswith(" | general kernels, compiling specialised ones")
 
 
 @pytest.mark.parametrize(("codes", "left"), [([1], 1), ([3], 3), ([1, 3], 3), ([3, 1], 3)])

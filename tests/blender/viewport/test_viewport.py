@@ -135,6 +135,10 @@ def test_settings_of_viewports(lit):
         (LiveState(), ""),
         (LiveState(samples=4, samples_total=4), "Sample 4/4"),
         (LiveState(stage="Rendering", samples=1.7, samples_total=4, memory_bytes=3 << 20), "Sample 1/4 | Memory 3 MB"),
+        (
+            LiveState(stage="Rendering", samples=1, samples_total=4, compiles=True),
+            "Sample 1/4 | compiling specialised kernels",
+        ),
         (LiveState(stage="Building the tree"), "Building the tree"),
     ],
 )

@@ -1,10 +1,6 @@
 """General kernels give the films of specialised ones, bit for bit, also where these take over in the middle."""
 
 import gc
-import os
-import subprocess
-import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,11 +12,9 @@ from warp._src.codegen import Adjoint
 
 from raybatch_addon.core import session as session_module
 from raybatch_addon.core.ahead import change
-from raybatch_addon.core.ahead.change import TierChange, TierChanges, pays
-from raybatch_addon.core.ahead.process import CompileProcess
-from raybatch_addon.core.ahead.request import CORE, CompileRequest, GeneralRequest, decode_request, encode_request
+from raybatch_addon.core.ahead.change import Decision
 from raybatch_addon.core.device.devices import is_compiled
-from raybatch_addon.core.device.kernel import block_size_of, is_general
+from raybatch_addon.core.device.kernel import is_general
 from raybatch_addon.core.errors import SettingsError
 from raybatch_addon.core.programs.requests import prepared_scene
 from raybatch_addon.core.scene.description import Frame
@@ -31,7 +25,6 @@ from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront import kernels
 from raybatch_addon.core.wavefront.integrator import TileIntegrator
 from raybatch_addon.core.wavefront.kernels import StageKernels
-from raybatch_addon.core.wavefront.plan.plan import Method, TracingPlan
 from raybatch_addon.core.wavefront.stages.work import ShadingStage
 from raybatch_addon.core.wavefront.tier import (
     GENERAL_CLOSURES_MOST,
@@ -41,7 +34,6 @@ from raybatch_addon.core.wavefront.tier import (
     general_kernels,
     why_not_general,
 )
-from tests.core.device.small_kernels import put_header
 from tests.support import scenes, schedule_scenes
 from tests.support.feature_scenes import ALL_FEATURES
 from tests.support.feature_scenes import SETTINGS as FEATURE_SETTINGS
@@ -168,6 +160,11 @@ def test_specialised_kernels_take_over_in_the_middle(name, monkeypatch):
     assert turns[2] != turns[3] == StageKernels.choose(features, wp.get_device(DEVICE))
 
 
+def choose_general_by_itself(features, setting, device):
+    """General kernels where the setting leaves the choice, whatever is compiled."""
+    return replace(choose_tier(features, setting.replace("AUTO", "GENERAL"), device), asked=setting)
+
+
 @ON_CPU
 def test_a_render_changes_by_itself_where_that_pays(monkeypatch):
     """What is compiled meanwhile is used, and statistics say so."""
@@ -181,19 +178,31 @@ def test_a_render_changes_by_itself_where_that_pays(monkeypatch):
 
     monkeypatch.setattr(change.TierChanges, "poll", compiled)
     monkeypatch.setattr(change, "_POLL_SECONDS", 0.001)
-    monkeypatch.setattr(
-        session_module,
-        "choose_tier",
-        lambda features, setting, device: replace(
-            choose_tier(features, setting.replace("AUTO", "GENERAL"), device), asked=setting
-        ),
-    )
+    monkeypatch.setattr(session_module, "choose_tier", choose_general_by_itself)
     session = Session(DEVICE)
     film = session.render(scene, settings)
     assert asked == [derive_features(scene, settings)]
     chosen = film.statistics["auto"]["kernel_tier"]
     assert chosen["value"] == "GENERAL" and "took over after" in chosen["why"]
+    assert film.statistics["kernels"]["why"] == chosen["why"]
     assert_same(film, Session(DEVICE).render(scene, settings.replace(kernel_tier="SPECIALISED")))
+
+
+@ON_CPU
+def test_what_is_compiled_beside_a_render_is_told(monkeypatch):
+    told, process = [], SimpleNamespace(is_running=True, stop=lambda: None)
+    monkeypatch.setattr(change, "_POLL_SECONDS", 0.001)
+    monkeypatch.setattr(change, "weigh_compiling", lambda *_: Decision(True, "it pays", None))
+    monkeypatch.setattr(change, "CompileProcess", lambda *_: process)
+    monkeypatch.setattr(session_module, "choose_tier", choose_general_by_itself)
+    session = Session(DEVICE)
+    settings = SETTINGS.replace(sample_count=256, tile_size=16)
+    film = session.render(scenes.mixed(Frame(64, 64)), settings, on_progress=lambda each: told.append(each.compiles))
+    session.close()
+    assert any(told)
+    kernels = film.statistics["kernels"]
+    assert kernels["compiled_for_next"] and kernels["specialised_after"] is None
+    assert kernels["why"].endswith("; it pays; they were not ready before the end")
 
 
 @ON_CPU
@@ -250,121 +259,6 @@ def test_each_general_kernel_has_a_module():
     kernels = general_kernels(wp.get_device(DEVICE))
     assert [list(kernel.module.kernels.values()) for kernel in kernels] == [[kernel] for kernel in kernels]
     assert all(is_general(kernel.module) for kernel in kernels)
-
-
-def test_when_compiling_pays():
-    device = wp.get_device("cpu")
-    features = derive_features(scenes.mixed(), SETTINGS)
-    request = CompileRequest(features, SETTINGS.replace(thread_count=1), TracingPlan(Method.UNBATCHED))
-    seconds = request.expected_seconds
-    assert seconds > 0
-    assert not pays(request, 0.0, None, device) and not pays(request, 0.0, seconds, device)
-    assert pays(request, 0.0, 6 * seconds, device), "a long render"
-    assert not pays(request, 3 * seconds, 1.0, device) and pays(request, 5 * seconds, 1.0, device), "many short ones"
-    gpu = SimpleNamespace(is_cuda=True)
-    assert not pays(request, 0.0, seconds, gpu)
-    assert pays(request, 0.0, 2 * seconds, gpu) and not pays(request, 0.0, 2 * seconds, device), "processors are idle"
-
-
-def test_a_request_reaches_another_process_whole():
-    features = derive_features(schedule_scenes.SCENES["mixed"](), SETTINGS)
-    for request in (GeneralRequest(), CompileRequest(features, SETTINGS, TracingPlan(Method.UNBATCHED))):
-        data = encode_request(request)
-        assert decode_request(data, CORE) == request
-        elsewhere = data.replace(b"raybatch_addon.core", b"bl_ext.someone.core")
-        assert decode_request(elsewhere, "bl_ext.someone.core.") == request
-
-
-def test_a_process_compiles_what_is_found_here(tmp_path):
-    """Kernels have the same names whatever the package is called that they are in."""
-    features = derive_features(scenes.mixed(), SETTINGS)
-    features = replace(features, lights=(), mesh_lights=False, world=False, smooth_normals=False, instancing=False)
-    request = CompileRequest(features, SETTINGS, TracingPlan(Method.UNBATCHED))
-    put_header(tmp_path / wp.config.version)
-    process = CompileProcess(DEVICE, tmp_path, request)
-    process.wait()
-    assert process.complaint() == "" and not process.is_running
-    block_sizes = {
-        kernel: block_size_of(kernel) if DEVICE != "cpu" else 1 for kernel in request.kernels(wp.get_device(DEVICE))
-    }
-    names = {kernel.module.get_module_identifier(size) for kernel, size in block_sizes.items()}
-    assert names <= {path.name for path in (tmp_path / wp.config.version).iterdir()}
-
-
-def test_a_process_that_fails_says_why_in_a_line(tmp_path, monkeypatch):
-    process = CompileProcess("cuda:77", tmp_path)
-    process.wait()
-    complaint = process.complaint()
-    assert complaint.startswith("DeviceError: there is no device 'cuda:77'") and "\n" not in complaint
-    # the render goes on, and does not try again
-    changes = TierChanges(wp.get_device(DEVICE))
-    request = CompileRequest(derive_features(scenes.mixed(), SETTINGS), SETTINGS, TracingPlan(Method.UNBATCHED))
-    started = []
-    monkeypatch.setattr(change, "pays", lambda *_: True)
-    monkeypatch.setattr(change, "CompileProcess", lambda *_: started.append(1) or process)
-    assert not changes.poll(request, None) and not changes.poll(request, None) and not changes.poll(request, None)
-    assert started == [1] and "cuda:77" in changes.complaint(request)
-
-
-@pytest.mark.parametrize("between", [False, True])
-def test_what_a_render_lacked_is_compiled_after_it_where_the_process_stays(monkeypatch, between):
-    """Once, and for the last scene alone."""
-    changes, started = TierChanges(wp.get_device(DEVICE), between_renders=between), []
-
-    class Compiling:
-        is_running = True
-
-        def __init__(self, _device, _folder, request):
-            started.append(request.features)
-
-        def stop(self):
-            started.append("stopped")
-
-    monkeypatch.setattr(change, "CompileProcess", Compiling)
-    plan = TracingPlan(Method.UNBATCHED)
-    first, second = (
-        CompileRequest(replace(derive_features(scenes.mixed(), SETTINGS), smooth_normals=smooth), SETTINGS, plan)
-        for smooth in (False, True)
-    )
-    for request in (first, first, second):
-        TierChange(changes, request, [], lambda: 0.0, wp.get_device(DEVICE)).close()
-    assert started == ([first.features, "stopped", second.features] if between else [])
-    changes.close()
-    changes.rest(first)  # too late
-    assert started[3:] == (["stopped"] if between else [])
-
-
-ABANDONED = """
-import os, sys
-from raybatch_addon.core.ahead.process import CompileProcess
-print(CompileProcess("cpu", sys.argv[1])._process.pid, flush=True)
-os._exit(0)
-"""
-
-
-@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="the system does not tell which processes there are")
-def test_a_process_ends_with_the_one_that_asked(tmp_path):
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
-    command = [sys.executable, "-c", ABANDONED, str(tmp_path)]
-    done = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True)
-    end = time.monotonic() + 20
-    while _is_alive(int(done.stdout)):
-        assert time.monotonic() < end, "it goes on compiling for nobody"
-        time.sleep(0.05)
-
-
-def _is_alive(process: int) -> bool:
-    try:
-        return Path(f"/proc/{process}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
-
-
-def test_a_process_can_be_stopped(tmp_path):
-    process = CompileProcess(DEVICE, tmp_path)
-    assert process.is_running and process.complaint() == ""
-    process.stop()
-    assert not process.is_running
 
 
 def test_names_of_kernels_do_not_depend_on_what_was_compiled_before():

@@ -2,6 +2,7 @@
 
 import errno
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -12,7 +13,9 @@ import warp as wp
 
 from raybatch_addon.core.ahead.process import CompileProcess
 from raybatch_addon.core.device import kept_kernels
-from raybatch_addon.core.device.devices import is_compiled, start_warp
+from raybatch_addon.core.device.compiler import CompileStoppedError
+from raybatch_addon.core.device.devices import is_compiled, load_module, loaded_modules, start_warp
+from raybatch_addon.core.device.kept_kernels import KernelFiles
 from raybatch_addon.core.device.notes import take_notes
 from raybatch_addon.core.errors import DeviceError
 from tests.core.device.small_kernels import (
@@ -99,15 +102,49 @@ def test_a_damaged_header_is_parsed_again(folder):
     assert len(headers) == 1 and headers[0].stat().st_size > 1 << 20
 
 
-def test_kernels_of_another_version_or_processor_are_left_alone(folder):
+def of_another_processor(files: KernelFiles) -> Path:
+    return files.binary.with_name(f"{files.binary.name.split('.')[0]}.cpu00000000.o")
+
+
+def of_other_code(files: KernelFiles) -> Path:
+    """The kernel as if its code had another hash."""
+    name = files.binary.parent.name
+    other = f"{name.rpartition('_')[0]}_0000000"
+    return files.binary.parent.with_name(other) / files.binary.name.replace(name, other)
+
+
+def of_another_version(files: KernelFiles) -> Path:
+    """The same kernel by another version of Warp."""
+    return files.binary.parents[2] / "0.0.1" / files.binary.parent.name / files.binary.name
+
+
+@pytest.mark.parametrize("place", [of_another_processor, of_other_code, of_another_version])
+def test_kernels_of_another_version_or_processor_are_left_alone(tmp_path, monkeypatch, place):
+    keep_in(tmp_path / wp.config.version, monkeypatch)
+    start_warp(tmp_path)  # which chooses the folder of its version
+    take_notes()
     kernel = small_kernel()
-    files = files_of(kernel, folder)
-    other = files.binary.with_name(f"{files.binary.name.split('.')[0]}.cpu00000000.o")
-    other.parent.mkdir(parents=True)
-    other.write_bytes(b"for another processor")
+    files = files_of(kernel)
+    other = place(files)
+    assert tmp_path in other.parents and other != files.binary and works(kernel)
+    other.parent.mkdir(parents=True, exist_ok=True)
+    data = files.binary.read_bytes()
+    if other.parent != files.meta.parent:
+        shutil.copy(files.meta, other.parent)
+    files.binary.rename(other)
+    forget(kernel)
     assert not is_compiled(kernel, wp.get_device("cpu"))
+    assert works(kernel) and take_notes() == []
+    assert other.read_bytes() == data and files.binary.exists()
+
+
+def test_what_nobody_waits_for_is_not_loaded(folder):
+    kernel, device = small_kernel(), wp.get_device("cpu")
     assert works(kernel)
-    assert other.read_bytes() == b"for another processor" and files.binary.exists()
+    forget(kernel)
+    with pytest.raises(CompileStoppedError):
+        load_module(kernel, device, lambda: True)
+    assert loaded_modules([kernel], device) is None and works(kernel)
 
 
 @ON_LINUX

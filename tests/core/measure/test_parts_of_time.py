@@ -8,6 +8,7 @@ import pytest
 
 from raybatch_addon.core.ahead import aside
 from raybatch_addon.core.device.loading import loads_noted
+from raybatch_addon.core.device.notes import compiling_noted
 from raybatch_addon.core.measure.parts import BUILD_PARTS, PARTS, Parts
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
@@ -67,7 +68,10 @@ def test_waiting_for_kernels_is_no_part_of_what_waits(monkeypatch):
     with aside.kernels_apart(aside.WaitedParts(parts)):
         clock.now += 1.0
         noted[0](True)
-        assert parts.message == "Compiling kernels"
+        assert parts.message == "Loading kernels"
+        with compiling_noted():
+            assert parts.message == "Compiling kernels"
+        assert parts.message == "Loading kernels"
         clock.now += 10.0
         noted[0](False)
         assert parts.part == "lights"
@@ -167,5 +171,10 @@ def test_the_tier_that_renders_is_reported(device):
         )
     finally:
         session.close()
-    assert film.statistics["kernels"] == {"tier": "GENERAL", "why": "as set", "specialised_after": None}
+    assert film.statistics["kernels"] == {
+        "tier": "GENERAL",
+        "why": "as set",
+        "specialised_after": None,
+        "compiled_for_next": False,
+    }
     assert set(reported) == {"", "general"}
