@@ -119,7 +119,7 @@ def names_that_differ(entries: list[dict[str, Any]]) -> set[str]:
 
 
 def names_that_ask(entries: list[dict[str, Any]]) -> set[str]:
-    """Names of the files of a list whose entry says that they ask for more than surfaces, as volumes, hair or motion."""
+    """Names of the files of a list whose entry says that they ask for more than surfaces, as hair or volumes."""
     return {f"{each['repository']}/{each['path']}" for each in entries if each.get("asks")}
 
 
