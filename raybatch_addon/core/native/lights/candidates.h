@@ -106,39 +106,50 @@ auto distant_estimate = [&](int number) -> float {
 // Estimates know nothing of what stands in the way, and where the brightest is hidden the others are all there is. So
 // what may be hidden by itself counts, at the top, as the geometric mean of its light and of that with a part of all
 // light added.
-float estimated = 0.0f;  // what all emitters together may bring
-auto counted_as = [&](float light) -> float { return wp::sqrt(light) * wp::sqrt(light + HIDDEN * estimated); };
+float hidden = 0.0f;  // that part; 0 until `weigh_top`, and where there is nothing to be compared with
 #if SUNS || WORLD
-auto distant_light = [&](int number) -> float { return counted_as(distant_estimate(number)); };
+float first_distant = 0.0f;  // estimate of the first distant emitter
+auto counted_distant = [&](int number) -> float {
+    const float light = number == 0 ? first_distant : distant_estimate(number);
+    return wp::sqrt(light) * wp::sqrt(light + hidden);
+};
 auto all_distant = [&]() {
     float total = 0.0f;
-    for (int number = 0; number < choice_table.distant_count; ++number) total += distant_light(number);
+    for (int number = 0; number < choice_table.distant_count; ++number) total += counted_distant(number);
     return total;
 };
 #endif
-// Changes `light` of the first nodes of the top, `count` of them, to what they count for; returns that of all that is
-// distant.
-auto weigh_top = [&](auto& light, int count) -> float {
-    estimated = 0.0f;
-    for (int k = 0; k < count; ++k) estimated += light[k];
-#if SUNS || WORLD
-    for (int number = 0; number < choice_table.distant_count; ++number) estimated += distant_estimate(number);
-#endif
+// Take in what the nodes of the top may bring, `local` together; returns what all that is distant counts for.
+auto weigh_top = [&](float local) -> float {
+    float estimated = local;
+    int apart = 0;
 #if LOCAL
-    const int* group = choice_table.group.data;
-    float together[WIDTH] = {};
-    for (int k = 0; k < count; ++k) together[group[k]] += light[k];
-    for (int k = 0; k < count; ++k) {
-        const float all = together[group[k]];
-        if (all > 0.0f) light[k] *= counted_as(all) / all;
-    }
+    apart = choice_table.group_count;
 #endif
+#if SUNS || WORLD
+    apart += choice_table.distant_count;
+    if (choice_table.distant_count > 0) first_distant = distant_estimate(0);
+    estimated += first_distant;
+    for (int number = 1; number < choice_table.distant_count; ++number) estimated += distant_estimate(number);
+#endif
+    hidden = apart > 1 ? HIDDEN * estimated : 0.0f;
 #if SUNS || WORLD
     return all_distant();
 #else
     return 0.0f;
 #endif
 };
+#if LOCAL
+// Changes what each node of the top may bring to what its group, `count` nodes at most, may.
+auto gather_groups = [&](auto& light, int count) {
+    const int* leader = choice_table.hidden_with.data;
+    float together[WIDTH] = {};
+#pragma unroll 1
+    for (int k = 0; k < count; ++k) together[leader[k]] += light[k];
+#pragma unroll 1
+    for (int k = 0; k < count; ++k) light[k] = together[leader[k]];
+};
+#endif
 
 // What counts `light` of `total` gets a whole number of the DRAWS that a random number has, at least one; those that
 // rounding leaves go to the first of those that are compared. So each is drawn exactly as often as it says.
@@ -167,6 +178,15 @@ auto shares_in = [&](int block) {
         const auto eight = of.lo + of.hi;
         return sum_of_four(eight.lo + eight.hi);
     };
+    auto weigh = [&](auto& light, int count, auto sum_of) {
+        typedef decltype(light + light) Lanes;
+        total = distant = weigh_top(sum_of(light));
+        if (hidden == 0.0f) return;
+        Lanes group = light;
+        if (choice_table.group_count < choice_table.top_count) gather_groups(group, count);
+        group = most(group, (Lanes)(LEAST));
+        light = light * (root(group + hidden) / root(group));
+    };
     auto share = [&](auto light, auto counts, auto sum_of) {
         typedef decltype(light + light) Lanes;
         total += sum_of(light);
@@ -192,7 +212,7 @@ auto shares_in = [&](int block) {
             if (!is_linked(choice_table.links.nodes.data[block * WIDTH + k])) light[k] = 0.0f;
         }
 #endif
-        if (block == 0) total = distant = weigh_top(light, WIDTH);
+        if (block == 0) weigh(light, WIDTH, sum);
         share(light, (WideCounts)(0), sum);
     } else {
         Few node[FIELDS];
@@ -205,7 +225,7 @@ auto shares_in = [&](int block) {
         }
 #endif
         for (int k = 4; k < WIDTH; ++k) shares.draws[k] = 0;
-        if (block == 0) total = distant = weigh_top(light, 4);
+        if (block == 0) weigh(light, 4, sum_of_four);
         share(light, (FewCounts)(0), sum_of_four);
     }
     const float scale = scale_of(total, WIDTH + 1);
@@ -222,13 +242,28 @@ auto shares_in = [&](int block) {
 #if LINKS
         if (links && !is_linked(choice_table.links.nodes.data[block * WIDTH + k])) light[k] = 0.0f;
 #endif
+        total += light[k];
     }
-    if (block == 0) total = distant = weigh_top(light, WIDTH);
+    if (block == 0) {
+        distant = weigh_top(total);
+        if (hidden > 0.0f) {
+            float group[WIDTH];
 #pragma unroll 1
-    for (int k = 0; k < WIDTH; ++k) total += light[k];
+            for (int k = 0; k < WIDTH; ++k) group[k] = light[k];
+            gather_groups(group, WIDTH);
+            total = 0.0f;
+#pragma unroll 1
+            for (int k = 0; k < WIDTH; ++k) {
+                const float all = wp::max(group[k], LEAST);
+                light[k] *= wp::sqrt(all + hidden) / wp::sqrt(all);
+                total += light[k];
+            }
+        }
+        total += distant;
+    }
 #else
     for (int k = 0; k < WIDTH; ++k) light[k] = 0.0f;
-    total = distant = weigh_top(light, 0);
+    total = distant = weigh_top(0.0f);
 #endif
     const float scale = scale_of(total, WIDTH + 1);
 #pragma unroll 1

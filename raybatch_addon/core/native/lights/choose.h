@@ -37,11 +37,11 @@ while (block >= 0) {
         const float scale = scale_of(all_distant(), choice_table.distant_count);
         int before = 0, draws = DRAWS, taken = 0;  // the first has what the others leave
         for (int number = 1; number < choice_table.distant_count; ++number) {
-            draws -= draws_of(distant_light(number), scale);
+            draws -= draws_of(counted_distant(number), scale);
         }
         for (; draw >= before + draws && taken + 1 < choice_table.distant_count; ++taken) {
             before += draws;
-            draws = draws_of(distant_light(taken + 1), scale);
+            draws = draws_of(counted_distant(taken + 1), scale);
         }
         take(before, draws);
         emitter = choice_table.distant.data[taken];

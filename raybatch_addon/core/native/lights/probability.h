@@ -15,7 +15,7 @@ if (leaf < 0) {
     const float scale = scale_of(all_distant(), choice_table.distant_count);
     int own = 0, others = 0;
     for (int number = 0; number < choice_table.distant_count; ++number) {
-        const int draws = draws_of(distant_light(number), scale);
+        const int draws = draws_of(counted_distant(number), scale);
         (choice_table.distant.data[number] == emitter ? own : others) += draws;
     }
     if (choice_table.distant.data[0] == emitter) own = DRAWS - others;

@@ -54,7 +54,11 @@ class ChoiceTable:
     below: wp.array(dtype=int)  # of each node: the block below it; less than 0: -1 - the number of the emitter
     above: wp.array(dtype=int)  # of each block: the node above it; -1: none
     leaf: wp.array(dtype=int)  # node of each emitter; -1: it has no place
-    group: wp.array(dtype=int)  # of each node of the top: the first one of its group (`top_groups`); [BLOCK_WIDTH]
+    hidden_with: wp.array(
+        dtype=int
+    )  # of each node of the top: the first one of its group (`top_groups`); [BLOCK_WIDTH]
+    group_count: int  # of those groups
+    top_count: int  # nodes of the top
     distant_count: int
     distant: wp.array(dtype=int)  # emitters without a place: suns, then the world if it is sampled
     distant_strength: wp.array(dtype=float)  # irradiance of a surface that faces each, in units as of a node's power
@@ -71,4 +75,4 @@ def choice_tree_bytes(choice: ChoiceTable) -> int:
 
 def choice_tree(choice: ChoiceTable) -> list[wp.array]:
     """The arrays of `choice` that are its tree."""
-    return [choice.blocks, choice.below, choice.above, choice.leaf, choice.group]
+    return [choice.blocks, choice.below, choice.above, choice.leaf, choice.hidden_with]

@@ -234,7 +234,7 @@ def _choice_table(
     tree = keep(([triangles.radiance] if len(triangles) else [], followed), make)
     choice = ChoiceTable()
     choice.blocks, choice.below, choice.above, choice.leaf = tree.blocks, tree.below, tree.above, tree.leaf
-    choice.group = tree.group
+    choice.hidden_with, choice.group_count, choice.top_count = tree.hidden_with, tree.group_count, tree.top_count
     choice.world_irradiance = wp.array(irradiance / largest, dtype=float, device=device)
     distant = np.flatnonzero(is_sun)
     brightness = strength[distant]

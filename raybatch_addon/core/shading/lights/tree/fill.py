@@ -52,7 +52,7 @@ def fill_blocks(choice: ChoiceTable, boxes: EmitterBoxes, alike: Sequence[Alike]
     tree.leaf_count, tree.root = count, topology.root
     tree.nodes = _joined(topology, boxes)
     tree.block_of = wp.zeros(count - 1, dtype=int, device=device)
-    block_count = _find_blocks(tree, topology.root)
+    block_count = _find_blocks(tree)
     _allocate(choice, block_count, device)
     launch_parts(fill_blocks_kernel, block_count, lambda at: [tree, choice, at], device)
     _group(choice)
@@ -82,10 +82,10 @@ def _joined(topology: Topology, boxes: EmitterBoxes) -> wp.array:
     return nodes
 
 
-def _find_blocks(tree: LightBlocks, root: int) -> int:
+def _find_blocks(tree: LightBlocks) -> int:
     """Fill in which blocks `tree` has; their number."""
     device, most = tree.nodes.device, tree.leaf_count
-    found, first, end = _go_down(tree, np.array([root], np.int32), _NODES_APART if device.is_cpu else most)
+    found, first, end = _go_down(tree, np.array([tree.root], np.int32), _NODES_APART if device.is_cpu else most)
     if first == end:
         tree.block_node = found.block_node
         return end
@@ -153,7 +153,10 @@ def _allocate(choice: ChoiceTable, block_count: int, device: wp.Device) -> None:
 def _group(choice: ChoiceTable) -> None:
     """Find the groups of the topmost nodes of `choice`, whose blocks are filled in."""
     top = choice.blocks[: BLOCK_WIDTH * len(FIELDS)].numpy()
-    choice.group = wp.array(top_groups(top), dtype=int, device=choice.blocks.device)
+    groups = top_groups(top)
+    there = top.reshape(len(FIELDS), BLOCK_WIDTH)[FIELDS.index("power")] > 0
+    choice.hidden_with = wp.array(groups, dtype=int, device=choice.blocks.device)
+    choice.group_count, choice.top_count = len(np.unique(groups[there])), int(there.sum())
 
 
 def top_groups(fields: np.ndarray) -> np.ndarray:

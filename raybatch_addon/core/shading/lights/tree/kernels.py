@@ -15,6 +15,8 @@ from .joints import Joints, widen_leaves_kernel
 
 # Where the numbers of a block of one kind begin
 _ROWS = {name: place * BLOCK_WIDTH for place, name in enumerate(FIELDS)}
+# Nodes that are compared as fast as fewer, on a CPU
+_FEW = wp.constant(4)
 # Rounding of an angle whose cosine is stored [rad]
 _ANGLE_ERROR = wp.constant(5.0e-4)
 
@@ -189,9 +191,9 @@ class LightBlocks:
 
 
 @wp.func
-def _extent(tree: LightBlocks, node: int, least: int) -> float:
-    """How much is gained where `node` is replaced by its two; -1: it holds less than `least` emitters."""
-    if tree.nodes[node].count < least:
+def _extent(tree: LightBlocks, node: int) -> float:
+    """How much is gained where `node` is replaced by its two; -1: an emitter."""
+    if node < tree.leaf_count:
         return -1.0
     held = tree.nodes[node].held
     return held.power * held.radius
@@ -201,20 +203,20 @@ def _extent(tree: LightBlocks, node: int, least: int) -> float:
 def _open(tree: LightBlocks, node: int, open: wp.array(dtype=int), extents: wp.array(dtype=float)) -> int:
     """Write up to `BLOCK_WIDTH` nodes that hold all emitters below `node` to `open`; their number. Of those that are
     open the one of the most power over the widest sphere is replaced by its two, again and again. `extents` has as many
-    entries. Below the top, what fits into one block stays together: else most blocks would hold two or three emitters.
+    entries. Below the top, what fits into one block stays together once a few nodes are open: else most blocks would
+    hold two or three emitters.
     """
-    least = int(2)
-    if node != tree.root and tree.nodes[node].count > wp.static(BLOCK_WIDTH):
-        least = wp.static(BLOCK_WIDTH + 1)
+    to_the_end = node == tree.root or tree.nodes[node].count <= wp.static(BLOCK_WIDTH)
     open[0] = node
-    extents[0] = _extent(tree, node, least)
+    extents[0] = _extent(tree, node)
     count = int(1)
     going = bool(True)
     while going and count < wp.static(BLOCK_WIDTH):
         widest = int(-1)
         extent = float(-1.0)
         for k in range(count):
-            if extents[k] > extent:
+            is_large = to_the_end or count < _FEW or tree.nodes[open[k]].count > wp.static(BLOCK_WIDTH)
+            if is_large and extents[k] > extent:
                 widest = k
                 extent = extents[k]
         if widest < 0:
@@ -223,8 +225,8 @@ def _open(tree: LightBlocks, node: int, open: wp.array(dtype=int), extents: wp.a
             parted = open[widest]
             open[widest] = tree.nodes[parted].first
             open[count] = tree.nodes[parted].second
-            extents[widest] = _extent(tree, open[widest], least)
-            extents[count] = _extent(tree, open[count], least)
+            extents[widest] = _extent(tree, open[widest])
+            extents[count] = _extent(tree, open[count])
             count = count + 1
     return count
 
