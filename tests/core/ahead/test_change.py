@@ -184,6 +184,7 @@ def test_a_session_is_closed_while_a_render_is_watched(monkeypatch, request_of_o
         def complaint(self):
             if moment == "complaint":
                 changes.close()
+                changes.open()  # by the next render
             return "it ended with code -9"
 
         def stop(self):
@@ -192,6 +193,7 @@ def test_a_session_is_closed_while_a_render_is_watched(monkeypatch, request_of_o
 
     monkeypatch.setattr(change, "CompileProcess", Process)
     assert changes.poll(request_of_one, None).decision.pays
+    assert started[0].is_running == (moment != "begin")
     if moment == "complaint":
         started[0].is_running = False
         assert not changes.poll(request_of_one, None).is_ready
