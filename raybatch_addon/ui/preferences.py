@@ -11,11 +11,14 @@ PACKAGE = __package__.rpartition(".")[0]
 
 
 class RAYBATCH_OT_compile_general_kernels(bpy.types.Operator):
-    """Compile the general kernels in the background, two or three minutes of one processor and longer for a GPU: any
-    scene can begin with them"""
+    """Compiles the general kernels."""
 
     bl_idname = "raybatch.compile_general_kernels"
     bl_label = "Compile General Kernels"
+    bl_description = (
+        "Compile the general kernels in the background, two or three minutes of one processor and longer for a GPU: "
+        "any scene can begin with them"
+    )
     bl_options = {"INTERNAL"}
 
     @classmethod

@@ -63,17 +63,18 @@ def compile_kernels(python: Path) -> None:
     """Compile what any scene can begin with, so that the first render need not wait for it."""
     print("RayBatch: compiling the kernels that any scene can begin with; this takes a minute or two", file=sys.stderr)
     command = [str(python), str(ROOT / "scripts/render.py"), "--prewarm", "--device", "cpu"]
-    last = ""
+    said = ""  # last, beside how far it is
     with subprocess.Popen(
         command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
     ) as process:
         for line in process.stderr or ():
-            last = line.strip() or last
-            if found := PROGRESS.fullmatch(last):
+            if found := PROGRESS.fullmatch(line.strip()):
                 if int(found[1]) % MODULES_A_LINE == 0:
-                    print(f"RayBatch: {last}", file=sys.stderr, flush=True)
-    if process.returncode:  # renders compile what they need
-        print(f"RayBatch: they could not be compiled: {last[-300:]}", file=sys.stderr)
+                    print(f"RayBatch: {found[0]}", file=sys.stderr, flush=True)
+            else:
+                said = line.strip() or said
+    if code := process.returncode:  # renders compile what they need
+        print(f"RayBatch: they could not be compiled: {said[-300:] or f'it ended with code {code}'}", file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """The environment compiles kernels ahead, says how far it is, and is made all the same where it cannot."""
 
+import os
 import sys
 
 import pytest
@@ -25,3 +26,14 @@ def test_how_far_it_is_is_said(tmp_path, monkeypatch, capfd, fails):
     assert "compiling the kernels that any scene can begin with" in first
     assert lines[:2] == ["RayBatch: compiled 0 of 12 modules", "RayBatch: compiled 10 of 12 modules"]
     assert lines[2:] == (["RayBatch: they could not be compiled: render.py: error: the disk is full"] * fails)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals end processes on POSIX")
+def test_what_a_signal_ended_is_said(tmp_path, monkeypatch, capfd):
+    """It has not said why: how far it was is no reason."""
+    script = "import os, sys\nprint('compiled 7 of 12 modules', file=sys.stderr, flush=True)\nos.kill(os.getpid(), 9)\n"
+    (tmp_path / "scripts").mkdir()
+    (tmp_path / "scripts/render.py").write_text(script, encoding="utf-8")
+    monkeypatch.setattr(environment, "ROOT", tmp_path)
+    environment.compile_kernels(sys.executable)
+    assert capfd.readouterr().err.splitlines()[1:] == ["RayBatch: they could not be compiled: it ended with code -9"]

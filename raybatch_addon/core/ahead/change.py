@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import warp as wp
 
@@ -25,7 +27,10 @@ _LOSS, _CUDA_LOSS = 0.21, 0.36
 # Share of the compiler's time that it takes from a render on a GPU, which leaves processors idle
 _CUDA_COST = 0.1
 _POLL_SECONDS = 0.1
+_NOT_READY = "they were not ready before the end"
+_lock = threading.Lock()  # of both that follow
 _ends: weakref.WeakSet[threading.Event] = weakref.WeakSet()  # of renders that are watched
+_ending = False  # this process ends, nothing more is watched
 
 
 @dataclass(frozen=True)
@@ -52,18 +57,27 @@ def weigh_compiling(request: CompileRequest, spent: float, left: float | None, d
     seconds, loss = request.expected_seconds, _CUDA_LOSS if device.is_cuda else _LOSS
     cost = seconds * _CUDA_COST if device.is_cuda else seconds / worker_count(device, request.settings.thread_count)
     takes = f"compiling takes about {seconds:.0f} s of a processor"
-    if left is not None and left > seconds and (left - seconds) * loss > cost:
-        lost = (left - seconds) * loss
-        return Decision(True, f"{takes}, and of the {left:.0f} s that are left general kernels lose {lost:.0f}", left)
+    costs = f"{takes}, which costs {cost:.1f} s of rendering"
+    after = 0.0 if left is None else max(left - seconds, 0.0)
+    if after * loss > cost:
+        gains = f"general kernels lose {after * loss:.1f} s in the {after:.0f} s that are left then"
+        return Decision(True, f"{costs}, and {gains}", left)
     if spent * loss > cost:
-        lost = spent * loss
-        why = f"{takes}, and of {spent:.0f} s of rendering such scenes general kernels have lost {lost:.0f}"
-        return Decision(True, why, left)
+        lost = f"in {spent:.0f} s of rendering such scenes general kernels have lost {spent * loss:.1f} s"
+        return Decision(True, f"{costs}, and {lost}", left)
     if left is None:
         return Decision(False, f"{takes}, and it is not known how long the render takes", left)
     if left <= seconds:
         return Decision(False, f"{takes} and {left:.0f} s are left, so general kernels render to the end", left)
-    return Decision(False, f"{takes}, more than general kernels lose in the {left:.0f} s that are left", left)
+    gains = f"the {after * loss:.1f} s that general kernels lose in the {after:.0f} s that are left then"
+    return Decision(False, f"{costs}, more than {gains}", left)
+
+
+class Polled(NamedTuple):
+    """What `TierChanges.poll` found."""
+
+    is_ready: bool  # specialised kernels were compiled, and can be loaded
+    decision: Decision | None = None  # where there was something to decide
 
 
 class TierChanges:
@@ -73,18 +87,19 @@ class TierChanges:
         """`between_renders`: whether to compile what a render lacked when it is over, for the next one."""
         self._device, self._between_renders = device, between_renders
         self._spent: dict[SceneFeatures, float] = {}
+        self._lock = threading.Lock()  # of all that follows: a session may be closed while others render and watch
         self._failed: dict[SceneFeatures, str] = {}
-        self._process: CompileProcess | None = None
+        self._process: CompileProcess | None = None  # who ends it takes it away first
         self._features: SceneFeatures | None = None  # that it compiles for
         self._closed = False
-        self.decision: Decision | None = None  # of the last `poll`, where there was something to decide
 
     def close(self) -> None:
         """End what still compiles, and begin nothing more."""
-        self._closed = True
-        if self._process:
-            self._process.stop()
-        self._process = None
+        with self._lock:
+            self._closed = True
+            process, self._process = self._process, None
+        if process:
+            process.stop()
 
     def open(self) -> None:
         """A render begins: what it needs may be compiled, also after `close`."""
@@ -99,8 +114,13 @@ class TierChanges:
         self._spent[request.features] = self._spent.get(request.features, 0.0) + seconds
 
     def fail(self, features: SceneFeatures, complaint: str) -> None:
-        """Note why there are no specialised kernels for `features`; they are not tried again."""
-        self._failed[features] = complaint
+        """Note why there are no specialised kernels for `features`; they are not tried again.
+
+        Nothing is noted once the session is closed, which ends what goes on.
+        """
+        with self._lock:
+            if not self._closed:
+                self._failed[features] = complaint
 
     def complaint(self, request: CompileRequest) -> str:
         """Why the kernels of `request` could not be compiled; empty where nothing failed."""
@@ -108,46 +128,79 @@ class TierChanges:
 
     def is_compiling(self, request: CompileRequest) -> bool:
         """Whether the kernels of `request` are being compiled."""
-        process = self._process  # another thread may end it
-        return process is not None and self._features == request.features and process.is_running
+        with self._lock:
+            process, features = self._process, self._features
+        return process is not None and features == request.features and process.is_running
 
-    def poll(self, request: CompileRequest, left: float | None) -> bool:
-        """Begin to compile if it pays; whether specialised kernels were compiled and can be loaded.
+    def poll(self, request: CompileRequest, left: float | None, given_up: Callable[[], bool] = lambda: False) -> Polled:
+        """Begin to compile if it pays, or take in what was compiled.
 
-        `left`: of the render, if known [s].
+        Args:
+            left: of the render, if known [s].
+            given_up: whether nobody wants the kernels any more; then `CompileStoppedError` is raised.
         """
-        self.decision = None
-        ours = self._features == request.features
-        if self._process is not None and not self._process.is_running:
-            assert self._features is not None  # since the process was begun
-            if complaint := self._process.complaint():
-                self.fail(self._features, complaint)
-            self._process = None
-            if ours and not complaint:
-                if all(is_compiled(kernel, self._device) for kernel in request.kernels(self._device)):
-                    return True
-                self.fail(request.features, "what was compiled is not in the folder for kernels")
-        if (self._process is not None and ours) or self._closed or request.features in self._failed:
-            return False
-        self.decision = weigh_compiling(request, self._spent.get(request.features, 0.0), left, self._device)
-        if self.decision.pays:
+        with self._lock:
+            process, features = self._process, self._features
+        if process is not None and not process.is_running:
+            assert features is not None  # since the process was begun
+            ours = features == request.features
+            complaint = process.complaint() or (self._lack(request, given_up) if ours else "")
+            if not self._take_away(process):
+                return Polled(False)  # it was ended
+            process = None
+            if complaint:
+                self.fail(features, complaint)
+            elif ours:
+                return Polled(True)
+        if (process is not None and features == request.features) or self._closed or request.features in self._failed:
+            return Polled(False)
+        decision = weigh_compiling(request, self._spent.get(request.features, 0.0), left, self._device)
+        if decision.pays:
             self._begin(request)
-        return False
+        return Polled(False, decision)
 
     def rest(self, request: CompileRequest) -> None:
         """A render by general kernels is over, and leaves the processors idle until the next one, if there is one."""
-        ours = self._process is not None and self._features == request.features
-        if self._between_renders and not (ours or self._closed or request.features in self._failed):
+        with self._lock:
+            ours = self._process is not None and self._features == request.features
+        if self._between_renders and not (ours or request.features in self._failed):
             self._begin(request)
 
+    def _lack(self, request: CompileRequest, given_up: Callable[[], bool]) -> str:
+        """A complaint where kernels of `request` are not there although they were compiled."""
+        for kernel in request.kernels(self._device):
+            if given_up():
+                raise CompileStoppedError
+            if not is_compiled(kernel, self._device):
+                return "what was compiled is not in the folder for kernels"
+        return ""
+
+    def _take_away(self, process: CompileProcess) -> bool:
+        """Forget `process`; whether nobody did before."""
+        with self._lock:
+            if self._process is not process:
+                return False
+            self._process = None
+        return True
+
     def _begin(self, request: CompileRequest) -> None:
-        if self._process is not None:
-            self._process.stop()  # for a scene that is not rendered now
-        self._process, self._features = None, request.features
+        """Begin to compile, unless the session is closed."""
+        with self._lock:
+            if self._closed:
+                return
+            before, self._process, self._features = self._process, None, request.features
+        if before:
+            before.stop()  # for a scene that is not rendered now
         try:
-            self._process = CompileProcess(self._device.alias, warp_cache_folder(), request)
+            process = CompileProcess(self._device.alias, warp_cache_folder(), request)
         except OSError as error:
             self.fail(request.features, f"no process could be started: {error}")
+            return
+        with self._lock:
+            if not self._closed:
+                self._process = process
+                return
+        process.stop()  # the session was closed meanwhile
 
 
 class TierChange:
@@ -167,6 +220,8 @@ class TierChange:
         self.compiled_for_next = False  # whether they were still compiled when the render was over
         self.why = ""  # the others took over, or did not; once the render is over
         self._decision: Decision | None = None  # that counts: the first one to compile, else that with most time left
+        self._begun_before = changes.is_compiling(request)  # by an earlier render
+        self._is_compiled = False  # the others are there, and taken over where the render goes on
         self._changes, self._integrators = changes, integrators
         self._left, self._device = left, device
         self._over, self._begun = threading.Event(), time.perf_counter()
@@ -175,10 +230,13 @@ class TierChange:
     def go_on(self) -> None:
         """The render goes on: watch it from now on, unless it has just begun."""
         if self._thread is None and time.perf_counter() - self._begun >= _POLL_SECONDS:
-            _ends.add(self._over)
             # Python waits for it before it ends: while a module is loaded, nothing of it may go
-            self._thread = threading.Thread(target=self._watch, name="RayBatch change of kernels", daemon=False)
-            self._thread.start()
+            thread = threading.Thread(target=self._watch, name="RayBatch change of kernels", daemon=False)
+            with _lock, contextlib.suppress(RuntimeError):  # no thread can be had: perhaps later
+                if not _ending:
+                    _ends.add(self._over)
+                    thread.start()
+                    self._thread = thread
 
     @property
     def is_compiling(self) -> bool:
@@ -193,7 +251,7 @@ class TierChange:
         seconds = time.perf_counter() - self._begun if self.changed_after is None else self.changed_after
         self.why = self._reason(seconds)
         self._changes.spend(self.request, seconds)
-        if self.changed_after is None:
+        if self.changed_after is None and not self._is_compiled:
             self._changes.rest(self.request)
             self.compiled_for_next = self.is_compiling
 
@@ -204,11 +262,13 @@ class TierChange:
             return f"specialised ones took over after {seconds:.1f} s{decided}"
         if self._changes.complaint(self.request):
             return "they could not be compiled"
-        if self.is_compiling:
-            decided = self._decision.why if self._decision else "they are being compiled since an earlier render"
-            return f"{decided}; they were not ready before the end"
-        if self._decision:
-            return self._decision.why
+        decision = self._decision
+        if decision and decision.pays:
+            return f"{decision.why}; {_NOT_READY}"
+        if self._begun_before or self._is_compiled:
+            return f"compiling began with an earlier render; {_NOT_READY}"
+        if decision:
+            return decision.why
         expected = self.request.expected_seconds
         return f"compiling takes about {expected:.0f} s of a processor, and the render took {seconds:.1f} s"
 
@@ -222,9 +282,10 @@ class TierChange:
     def _watch(self) -> None:
         try:
             while not self._over.is_set():
-                is_ready = self._changes.poll(self.request, self._left())
-                self._note(self._changes.decision)
-                if is_ready:
+                polled = self._changes.poll(self.request, self._left(), self._over.is_set)
+                self._note(polled.decision)
+                if polled.is_ready:
+                    self._is_compiled = True
                     self._take_over()
                     return
                 self._over.wait(_POLL_SECONDS)
@@ -235,6 +296,8 @@ class TierChange:
 
     def _take_over(self) -> None:
         load_kernels(self.request.kernels(self._device), self._device, lambda done, total: None, self._over.is_set)
+        if self._over.is_set():
+            raise CompileStoppedError
         kernels = StageKernels.choose(self.request.features, self._device)
         for integrator in self._integrators:
             integrator.use_kernels(kernels)
@@ -242,8 +305,11 @@ class TierChange:
 
 
 def _end_all() -> None:
-    for over in list(_ends):
-        over.set()
+    global _ending
+    with _lock:
+        _ending = True
+        for over in _ends:
+            over.set()
 
 
 # before Python waits for threads, whatever thread renders

@@ -16,6 +16,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 if TYPE_CHECKING:
+    import warp as wp
+
     from .request import Request
 
 _PACKAGE_FOLDER = Path(__file__).resolve().parents[2]
@@ -24,6 +26,8 @@ _NICENESS = 10
 _COMPLAINT_LENGTH = 1000
 _LENGTHS = "<QQ"  # of the order and of the request, before both
 _PROGRESS = "modules: "  # begins a line of the answer that says how many modules there are, and of how many
+_ANSWER_SECONDS = 5.0  # that the answer of a process that has ended is waited for: another may hold its pipe
+_lock = threading.Lock()
 _running: list[CompileProcess] = []  # and some that have ended
 
 
@@ -59,11 +63,18 @@ class CompileProcess:
             stderr=subprocess.PIPE,
             creationflags=flags,
         )
-        assert self._process.stdin is not None  # a pipe
+        assert self._process.stdin is not None and self._process.stderr is not None  # pipes
         # else the answer would fill its pipe
         self._reader = threading.Thread(target=self._read, args=(self._process.stderr,), daemon=True)
-        self._reader.start()
-        _running[:] = [each for each in _running if each.is_running] + [self]
+        with _lock:
+            _running[:] = [each for each in _running if each.is_running] + [self]
+        try:
+            self._reader.start()
+        except RuntimeError as error:
+            self.stop()
+            self._process.stdin.close()
+            self._process.stderr.close()
+            raise OSError(f"no thread can be had for its answer: {error}") from error
         with contextlib.suppress(OSError):  # it has ended: `complaint` says why
             # the pipe stays open: its end lets the other process know that this one is gone
             self._process.stdin.write(struct.pack(_LENGTHS, len(head), len(data)) + head + data)
@@ -85,7 +96,7 @@ class CompileProcess:
         return self._report() if self._process.poll() == 0 else ""
 
     def _report(self) -> str:
-        self._reader.join()
+        self._reader.join(_ANSWER_SECONDS)
         return self._last_line
 
     def _read(self, pipe: BinaryIO) -> None:
@@ -108,12 +119,15 @@ class CompileProcess:
         if self._process.poll() is None:
             self._process.kill()
             self._process.wait()
-            self._reader.join()
+            if self._reader.is_alive():
+                self._reader.join(_ANSWER_SECONDS)
 
 
 def stop_all() -> None:
     """End all processes that still compile."""
-    for each in _running:
+    with _lock:
+        running = list(_running)
+    for each in running:
         each.stop()
 
 
@@ -145,14 +159,25 @@ def compile_as_asked() -> None:
         remove_abandoned()
         request = decode_request(data, order["core"]) if data else GeneralRequest()
         devices = [find_device(order["device"])] if order["device"] != "ALL" else one_of_each_kind()
-        kernels = [request.kernels(device) for device in devices]
-        counts = [len({each.module.name for each in of_one}) for of_one in kernels]
-        for number, device in enumerate(devices):
+        kernels: list[tuple[wp.Device, list[wp.Kernel]]] = []
+        failures: list[Exception] = []  # one device's do not stop another's
+        for device in devices:
+            try:
+                kernels.append((device, request.kernels(device)))
+            except Exception as error:
+                failures.append(error)
+        total, before = sum(len({each.module.name for each in of_one}) for _, of_one in kernels), 0
+        for device, of_one in kernels:
 
-            def tell(done: int, _of_device: int, before: int = sum(counts[:number])) -> None:
-                answer.write(f"{_PROGRESS}{before + done} {sum(counts)}\n")
+            def tell(done: int, _of_device: int, before: int = before) -> None:
+                answer.write(f"{_PROGRESS}{before + done} {total}\n")
 
-            load_kernels(kernels[number], device, tell)
+            try:
+                before += len(load_kernels(of_one, device, tell))
+            except Exception as error:
+                failures.append(error)
+        if failures:
+            raise failures[0]
         answer.write("; ".join(take_notes()))
         answer.close()
     except Exception as error:  # whatever it is, who asked goes on without, and says so

@@ -209,19 +209,22 @@ def test_a_cancel_does_not_wait_for_what_takes_long(lit, monkeypatch, films, sta
 def test_a_cancel_while_a_cancelled_render_is_waited_for(lit, monkeypatch, films):
     """The second render waits for the tree of the first, and is cancelled too: neither waits any longer."""
     sessions.close_all()
-    entered, release, parts = threading.Event(), threading.Event(), []
+    entered, release, finished, parts = threading.Event(), threading.Event(), threading.Event(), []
     whole = SceneCache.get
 
     def endless(*arguments, **options):
         entered.set()
         release.wait(30)
-        return whole(*arguments, **options)
+        found = whole(*arguments, **options)
+        finished.set()
+        return found
 
     with monkeypatch.context() as patch:
         patch.setattr(SceneCache, "get", endless)
         with monkeypatch.context() as first:
             watch_engines(first, test_break=lambda _engine: entered.is_set())
             bpy.ops.render.render()
+        assert entered.is_set() and not finished.is_set()
         waited = threading.Event()
         patch.setattr(frame, "PLAIN_SECONDS", 0.0)
         watch_engines(
@@ -231,10 +234,11 @@ def test_a_cancel_while_a_cancelled_render_is_waited_for(lit, monkeypatch, films
         )
         bpy.ops.render.render()
         assert waited.is_set(), parts
+        assert not finished.is_set()
         release.set()
     assert [film.complete for film in films] == [False, False] and reports.last().errors == []
     bpy.ops.render.render()
-    assert films[2].complete
+    assert finished.is_set() and films[2].complete
 
 
 @pytest.mark.usefixtures("general_kernels")
@@ -273,7 +277,7 @@ def test_a_cancel_while_other_kernels_take_over(lit, monkeypatch, films):
 
     with monkeypatch.context() as patch:
         patch.setattr(core_session, "choose_tier", choose)
-        patch.setattr(change.TierChanges, "poll", lambda *_: True)
+        patch.setattr(change.TierChanges, "poll", lambda *_: change.Polled(True))
         patch.setattr(change, "load_kernels", load_kernels)
         watch_engines(patch, test_break=lambda _engine: entered.is_set())
         bpy.ops.render.render()

@@ -68,16 +68,20 @@ def test_both_compile_what_both_lack(tmp_path):
         )
         for picture in pictures
     ]
-    assert [process.stdout.readline() for process in both] == ["ready\n"] * 2
-    for process in both:
-        process.stdin.write("\n")
-        process.stdin.flush()
-    for process in both:
-        output, complaints = process.communicate(timeout=SECONDS_MOST)
-        assert (process.returncode, complaints) == (0, "")
-        compiled, warnings, errors = json.loads(output.strip().splitlines()[-1])
-        assert (warnings, errors) == ([], [])
-        missing |= set(compiled)
+    try:
+        assert [process.stdout.readline() for process in both] == ["ready\n"] * 2
+        for process in both:
+            process.stdin.write("\n")
+            process.stdin.flush()
+        for process in both:
+            output, complaints = process.communicate(timeout=SECONDS_MOST)
+            assert (process.returncode, complaints) == (0, "")
+            compiled, warnings, errors = json.loads(output.strip().splitlines()[-1])
+            assert (warnings, errors) == ([], [])
+            missing |= set(compiled)
+    finally:
+        for process in both:
+            process.kill()
     assert {name.rpartition("_")[0] for name in missing} == set(LACKING)
     first, second = (np.load(picture) for picture in pictures)
     assert np.array_equal(first, second) and first[..., :3].std() > 0

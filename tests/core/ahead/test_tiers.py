@@ -1,6 +1,7 @@
 """General kernels give the films of specialised ones, bit for bit, also where these take over in the middle."""
 
 import gc
+import threading
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,7 +13,7 @@ from warp._src.codegen import Adjoint
 
 from raybatch_addon.core import session as session_module
 from raybatch_addon.core.ahead import change
-from raybatch_addon.core.ahead.change import Decision
+from raybatch_addon.core.ahead.change import Decision, Polled
 from raybatch_addon.core.device.devices import is_compiled
 from raybatch_addon.core.device.kernel import is_general
 from raybatch_addon.core.errors import SettingsError
@@ -172,9 +173,9 @@ def test_a_render_changes_by_itself_where_that_pays(monkeypatch):
     settings = SETTINGS.replace(sample_count=256, tile_size=16)
     Session(DEVICE).render(scene, settings.replace(kernel_tier="SPECIALISED", sample_count=1))
 
-    def compiled(_self, request, _left):
+    def compiled(_self, request, *_):
         asked.append(request.features)
-        return True
+        return Polled(True)
 
     monkeypatch.setattr(change.TierChanges, "poll", compiled)
     monkeypatch.setattr(change, "_POLL_SECONDS", 0.001)
@@ -190,16 +191,26 @@ def test_a_render_changes_by_itself_where_that_pays(monkeypatch):
 
 @ON_CPU
 def test_what_is_compiled_beside_a_render_is_told(monkeypatch):
-    told, process = [], SimpleNamespace(is_running=True, stop=lambda: None)
+    """Paths end once it was told."""
+    told, process = threading.Event(), SimpleNamespace(is_running=True, stop=lambda: None)
+    finish = TileIntegrator._finish_paths
+
+    def finish_once_told(self, *arguments):
+        assert told.wait(60)
+        return finish(self, *arguments)
+
+    monkeypatch.setattr(TileIntegrator, "_finish_paths", finish_once_told)
     monkeypatch.setattr(change, "_POLL_SECONDS", 0.001)
     monkeypatch.setattr(change, "weigh_compiling", lambda *_: Decision(True, "it pays", None))
     monkeypatch.setattr(change, "CompileProcess", lambda *_: process)
     monkeypatch.setattr(session_module, "choose_tier", choose_general_by_itself)
     session = Session(DEVICE)
-    settings = SETTINGS.replace(sample_count=256, tile_size=16)
-    film = session.render(scenes.mixed(Frame(64, 64)), settings, on_progress=lambda each: told.append(each.compiles))
+    settings = SETTINGS.replace(tile_size=16, thread_count=2)  # beside the thread that tells
+    film = session.render(
+        scenes.mixed(Frame(64, 64)), settings, on_progress=lambda each: told.set() if each.compiles else None
+    )
     session.close()
-    assert any(told)
+    assert told.is_set()
     kernels = film.statistics["kernels"]
     assert kernels["compiled_for_next"] and kernels["specialised_after"] is None
     assert kernels["why"].endswith("; it pays; they were not ready before the end")
