@@ -7,11 +7,12 @@ import pytest
 
 from raybatch_addon.core.programs.builder import ProgramBuilder
 from raybatch_addon.core.programs.ops.values.math import MathOperation
-from raybatch_addon.core.scene.description import Scene, Visibility, Volume
+from raybatch_addon.core.scene.description import Frame, Scene, Visibility, Volume
 from raybatch_addon.core.scene.features import derive_features
 from raybatch_addon.core.settings.settings import RenderSettings
 from tests.renders.volumes.test_volume_lights import ONCE, assert_same_mean, over_floor, rising, run_means
-from tests.renders.volumes.test_volumes import medium, picture
+from tests.renders.volumes.test_volumes import filled, medium, picture
+from tests.support import scenes
 
 pytestmark = pytest.mark.usefixtures("general_kernels")
 
@@ -92,3 +93,21 @@ def test_light_that_bounds_have_missed_is_missed_by_shadow_rays_too(session):
     """About half of the bounds of thin layers are 0, where rays do not look."""
     scene = over_floor(sheets(1000.0, EDGE / 32, 0.003), edge=EDGE, place=np.array([0.0, 0.0, 0.6]))
     assert_rays_find_the_same(session, scene, mis="OFF", sample_count=2048)
+
+
+def scaled(size: float) -> Scene:
+    """A cube over a floor, `size` times as large, and so much fainter that the picture is the same."""
+    view = scenes.camera(eye=(0, -4 * size, 2 * size), half_width=1e-4)
+    floor = scenes.plane(size=40 * size), scenes.IDENTITY, scenes.diffuse(0.8)
+    place = scenes.translation(0.3 * size, 0.1 * size, size)
+    cube = scenes.box("cube", 0.5 * size), place, filled(medium(0.5 / size, emission=10.0 / size))
+    return scenes.scene([floor, cube], view=view, frame=Frame(8, 8))
+
+
+@pytest.mark.parametrize("size", [1e-15, 2e14])
+def test_a_picture_does_not_change_with_the_size_of_all_there_is(session, size):
+    """Volumes and squares of lengths are beyond float32."""
+    found, expected = (run_means(session, scaled(each)) for each in (size, 1.0))
+    np.testing.assert_allclose(found, expected, rtol=1e-2)
+    with_nee, alone = (picture(session, scaled(size), **ONCE, nee=nee).var() for nee in ("ON", "OFF"))
+    assert with_nee < alone / 2, (with_nee, alone)

@@ -119,12 +119,12 @@ def upload_volumes(
     data.scatters = int(not features.volume_lights or any(map(_may_scatter, volumes)))
     ops, asked = features.volume_program.ops, narrow(shading, VolumeFeatures)
     key = bounds_key(scene, volume_of, ops, device.alias) if data.varies or features.volume_lights else ([], ())
-    warnings = _bound(data, scene, asked, volume_of, device, ops, key, cache.bounds)
+    warnings = _bound(data, scene, asked, volume_of, device, ops=ops, key=key, kept=cache.bounds)
     if ClosureKind.RAY_PORTAL in features.closures:
         warnings.append("Ray Portal: a ray that comes out of one is in the volumes of the place where it went in")
     cells = None
     if features.volume_lights:
-        cells = _emission(data, scene, asked, volume_of, device, key, cache.cells)
+        cells = _emission(data, scene, asked, volume_of, device, key=key, kept=cache.cells)
     else:
         cache.cells.clear()
     return UploadedVolumes(data, enclosures.kept, grids, stored, warnings, cells)
