@@ -198,9 +198,6 @@ def make_lights(features: LightFeatures) -> Lights:
                             s = sample_cell(light, position, u_choice, u)
                     s.radiance = wp.cw_mul(s.radiance, light.emission)
                     s.delta = light.delta
-                    if wp.static(features.volume_lights):
-                        if light.kind == wp.static(CELL):
-                            s.delta = 0  # scattered rays meet its light in the volume
                     s.casts_shadow = light.casts_shadow
                     s.visibility = light.visibility
                     s.instance = -1

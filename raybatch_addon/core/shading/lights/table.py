@@ -69,7 +69,8 @@ class LightRecord:
     half_x: float  # RECTANGLE, ELLIPSE, CELL: half width [m]
     half_y: float
     tan_half_spread: float  # RECTANGLE, ELLIPSE: tangent of half the spread
-    spread_scale: float  # RECTANGLE, ELLIPSE: one over that tangent; 0: light leaves into the whole half space
+    # RECTANGLE, ELLIPSE: one over that tangent; 0: into the whole half space; CELL: 1 / sqrt(rate * volume) [1/m]
+    spread_scale: float
 
 
 @wp.struct
@@ -144,15 +145,14 @@ def upload_lights(
     records = np.zeros(len(scene.lights), record_type(LightRecord))
     for i, light in enumerate(scene.lights):
         _fill_record(records[i, ...], light)
-    records = np.concatenate([records, *([] if cells is None else [_cell_records(cells)])])
+    records = records if cells is None else np.concatenate([records, _cell_records(cells)])
 
     def upload(values, dtype) -> wp.array:
         return wp.array(values, dtype=dtype, device=device)
 
-    sized = records["delta"] == 0
-    is_sun = records["kind"] == LightKind.SUN
-    suns = np.flatnonzero(sized & is_sun).astype(np.int32)
-    placed = np.flatnonzero(sized & ~is_sun).astype(np.int32)
+    sized = np.where(records["delta"] == 0, records["kind"], CELL)
+    suns = np.flatnonzero(sized == LightKind.SUN).astype(np.int32)
+    placed = np.flatnonzero((sized != LightKind.SUN) & (sized != CELL)).astype(np.int32)
 
     table = LightTable()
     table.emitter_count = len(records) + len(triangles) + (world is not None)
@@ -160,7 +160,7 @@ def upload_lights(
     table.lights = upload_records(np.concatenate([records, _portals(scene, world)]), LightRecord, device)
     if lamps is not None:
         strength *= lamps(table)
-    strength = np.concatenate([strength, *([] if cells is None else [cells.strength])])
+    strength = strength if cells is None else np.concatenate([strength, cells.strength])
     table.sun_count = len(suns)
     table.suns = upload(suns, int)
     table.tree_count = len(placed)
@@ -304,15 +304,16 @@ def _lamp_nodes(records: np.ndarray, local: np.ndarray, strength: np.ndarray) ->
 
 
 def _cell_records(cells: EmissiveCells) -> np.ndarray:
-    """Records of cells, which no ray meets as lights."""
+    """Records of cells; rays meet their light in volumes."""
     records = np.zeros(len(cells), record_type(LightRecord))
     length = np.maximum(np.linalg.norm(cells.half, axis=2), float(_FLOAT.tiny))
     axes = cells.half / length[:, :, None]
-    records["kind"], records["visibility"] = CELL, int(Visibility.ALL)
-    records["casts_shadow"] = records["delta"] = 1
-    records["axis_x"], records["axis_y"], records["axis"] = axes[:, 0], axes[:, 1], axes[:, 2]
+    records["kind"], records["visibility"], records["casts_shadow"] = CELL, int(Visibility.ALL), 1
+    records["axis_x"], records["axis_y"], records["axis"] = np.moveaxis(axes, 1, 0)
     records["half_x"], records["half_y"], records["radius"] = length.T
     records["position"], records["emission"] = cells.middle, 1 / cells.rate[:, None]
+    volume = 8 * np.abs(np.linalg.det(cells.half))
+    records["spread_scale"] = np.minimum(1 / np.sqrt(cells.rate * volume), _FLOAT.max)
     return records
 
 

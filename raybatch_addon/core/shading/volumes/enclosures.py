@@ -21,7 +21,7 @@ from ...scene.motion import apart
 from ...scene.moved import inverse_at, motion_row, positions_at
 
 # A direction that lies along no axis, in which surfaces around a point are looked for
-_AHEAD = (0.436, 0.218, 0.873)
+AHEAD = (0.436, 0.218, 0.873)
 # As far as anything is looked for, where nothing ends the way [m]
 FARTHEST = 1e30
 # Half the edge of a box around what moves [m], whose area is still a number of float32
@@ -124,7 +124,7 @@ def is_around(geometry: Geometry, enclosures: Enclosures, number: int, point: wp
     enclosure = enclosures.of[number]
     to_object = _inverse_of(geometry, enclosure, time)
     origin = transform_point(to_object, point)
-    ahead = wp.normalize(wp.vec3(wp.static(_AHEAD[0]), wp.static(_AHEAD[1]), wp.static(_AHEAD[2])))
+    ahead = wp.normalize(wp.vec3(wp.static(AHEAD[0]), wp.static(AHEAD[1]), wp.static(AHEAD[2])))
     direction = wp.normalize(transform_vector(to_object, ahead))
     nearest = float(wp.static(FARTHEST))
     inside = bool(False)

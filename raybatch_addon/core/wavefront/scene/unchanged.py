@@ -96,10 +96,10 @@ def camera_key(scene: Scene, programs: Iterable[Program | None]) -> tuple:
 
 
 def bounds_key(
-    scene: Scene, volume_of: np.ndarray, ops: Sequence[str], world_box: np.ndarray, device: str
+    scene: Scene, volume_of: np.ndarray, ops: Sequence[str], device: str
 ) -> tuple[list[np.ndarray | None], tuple]:
-    """What the bounds of volumes with programs follow from: arrays and values. `volume_of`: the volume of each
-    material, or -1; `world_box`: what the world's is taken to fill. Arrays that may change count by their numbers.
+    """What the bounds of volumes with programs follow from, but for the box that the world's is taken to fill: arrays
+    and values. `volume_of`: the volume of each material, or -1. Arrays that may change count by their numbers.
     """
     arrays, values = inputs_key(scene, ops, device)
     arrays += [mesh.motion for mesh in scene.meshes]
@@ -114,8 +114,6 @@ def bounds_key(
     ]
     numbers = [grid.to_index for mesh in scene.meshes for grid in mesh.grids]
     numbers += [array for array in arrays if array is not None and not is_frozen(array)]
-    if scene.world.volume is not None and scene.world.volume.program is not None:
-        numbers.append(world_box)
     kept = [None if array is None or not is_frozen(array) else array for array in arrays]
     seen = camera_key(scene, programs)
     return kept, (values, kinds, made, seen, tuple(grids), digest_of([volume_of, *numbers, *_motion(scene)]))

@@ -15,10 +15,12 @@ import numpy as np
 import warp as wp
 
 from ...scene.description import Grid, Mesh, Scene, Visibility
+from ...scene.frozen import fact
 from ...scene.geometry import transform_point
 from ...scene.motion import moving_instances
 from ...scene.moved import transform_at
 from ...scene.program import ProgramFeatures
+from ...scene.validate import box_of
 from ...shading.bsdf.materials import address_of
 from ...shading.sequences.keys import mix_bits, sequence_number
 from ...shading.volumes.grids import CUBE_CORNERS, TILE, is_scalar, tiles_of
@@ -59,8 +61,8 @@ class Bounded:
 
 @functools.cache
 def make_bound(programs: ProgramFeatures, emission: bool = False) -> wp.Function:
-    """Function (volumes, i: int): finds the largest extinction at points of cell `i` of the box that is `asked` for, or
-    the mean `emission`.
+    """Function (volumes, i: int): finds the largest extinction at points of cell `i` of the box that is `asked` for,
+    and the mean `emission`.
     """
     medium = make_medium(programs)
 
@@ -106,7 +108,7 @@ def make_bound(programs: ProgramFeatures, emission: bool = False) -> wp.Function
                 ray += 1
         if wp.static(emission):
             if volumes.asked.emission != 0:
-                largest = emitted
+                volumes.asked.found[cells * cells * cells + i] = wp.min(emitted, 1.0e18)
         volumes.asked.found[i] = wp.min(largest, 1.0e18)
 
     return bound
@@ -284,10 +286,14 @@ def bounded_volumes(
         first = int(instances.slot_first[instance])
         for volume in sorted({int(volume_of[m]) for m in scene.slot_materials[first : first + slots]}):
             if volume >= 0 and has_program[volume]:
-                steps = mesh.positions if mesh.motion is None else mesh.motion.reshape(-1, 3)
-                box = np.stack([steps.min(0), steps.max(0)]).astype(np.float64)
+                box = fact(mesh.positions if mesh.motion is None else mesh.motion, _box_of_steps)
                 placing = np.asarray(instances.transform[instance], np.float64)
                 result.append(Bounded(instance, volume, box, placing, bool(moves[instance]), mesh))
     if scene.world.volume is not None and has_program[-1]:
         result.append(Bounded(-1, len(has_program) - 1, world_box, np.eye(3, 4)))
     return result
+
+
+def _box_of_steps(positions: np.ndarray) -> np.ndarray:
+    """The box of `positions`, [..., 3]: float64, shape [2, 3]."""
+    return box_of(positions.reshape(-1, 3)).astype(np.float64)

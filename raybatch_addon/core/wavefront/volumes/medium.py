@@ -63,13 +63,12 @@ def passes(extinction: wp.vec3, length: float) -> wp.vec3:
 
 
 @functools.cache
-def make_medium(programs: ProgramFeatures, alone: bool = False) -> wp.Function:
+def make_medium(programs: ProgramFeatures) -> wp.Function:
     """Function (volumes, inside: vec4i, point: ShadingPoint, lobes: array of PhaseLobe) -> Coefficients: what there is
     at `point`, of which instance and primitive are set here. Scattering closures are written to `lobes`. Without
-    `programs` volumes that have one count as empty. `alone`: the first of `inside` counts alone.
+    `programs` volumes that have one count as empty.
     """
     run = make_run(programs)
-    places = 1 if alone else INSIDE_MOST + 1
 
     @wp.func
     def medium(
@@ -77,7 +76,7 @@ def make_medium(programs: ProgramFeatures, alone: bool = False) -> wp.Function:
     ) -> Coefficients:
         m = Coefficients()
         place = int(0)
-        while place < wp.static(places):
+        while place < wp.static(INSIDE_MOST + 1):
             found = entry(volumes, inside, place)
             place += 1
             volume = found[1]

@@ -37,7 +37,7 @@ from ..stages.surface.aim import AimFeatures, is_aimed, make_choose_light
 from ..stages.surface.vertex import Vertex
 from ..stages.work import TileWork
 from .along import Sought, sought_in_bounds, sought_in_constant, towards_light
-from .emission.weigh import Seen, make_weighed, make_weighed_constant
+from .emission.weigh import Seen, make_weighed, make_weighed_constant, weighed_grid
 from .features import VolumeFeatures
 from .lights import Way, make_lights_ahead
 from .medium import LOBES_MOST, PHASE_LOBE_FLOATS, Coefficients, make_constant_medium, may_vary, varies_along
@@ -238,7 +238,7 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
                         lit_lobes[k] = lobes[k]
                 way = constant_way(m, far, throughput, scatters, seeks, sought, u_lit, u)
                 if wp.static(features.volume_lights):
-                    if pdf > 0.0 and volumes.lights.of.shape[0] > 0 and has_light(m.emission):
+                    if pdf > 0.0 and has_light(m.emission) and weighed_grid(volumes, inside) >= 0:
                         way.emitted = weighed_constant(volumes, data.lights, seen, inside, begin, m, far, stream)
             medium = way.medium
             event = way.event

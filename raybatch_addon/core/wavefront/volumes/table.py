@@ -38,17 +38,19 @@ class BoundWork:
     moving: int  # the instance that moves; -1: nothing does
     cells: int  # along each axis
     rays: int  # kinds of rays that are looked at, see `bounds.py`
-    emission: int  # 1: the mean emission is found instead, where volumes are emitters
+    emission: int  # 1: the mean emission is found too, where volumes are emitters
     flights: float  # the least bound of what emits light [1/m]
     places: wp.array(dtype=wp.vec3)  # where more is looked at: as many points of each cell [m]; or none
-    found: wp.array(dtype=float)  # result of each cell: the largest extinction [1/m], or emission [W/(m³ sr)]
+    # result of each cell: the largest extinction [1/m], and behind those of all cells the mean emission [W/(m³ sr)]
+    found: wp.array(dtype=float)
 
 
 @wp.struct
 class EmissionGrid:
     """A grid of cells over a volume that emits."""
 
-    to_cells: mat34  # world to cells: cell (i, j, k) is from (i, j, k) to (i + 1, j + 1, k + 1)
+    origin: wp.vec3  # corner of cell (0, 0, 0) in the world [m]
+    to_cells: wp.mat33  # from there: cell (i, j, k) is from (i, j, k) to (i + 1, j + 1, k + 1)
     size: int  # cells along each axis
     first: int  # of its cells in `VolumeLights.emitters`, the last axis changing fastest
 

@@ -26,7 +26,7 @@ from ...shading.volumes.numbers import LIT_STREAM, stream_number
 from ...shading.volumes.phase import PhaseLobe
 from .along import Sought, density_by_light, length_by_light
 from .emission.weigh import Seen
-from .medium import LOBES_MOST, PHASE_LOBE_FLOATS, Coefficients, bound_ahead, make_medium
+from .medium import LOBES_MOST, PHASE_LOBE_FLOATS, Coefficients, bound_ahead, make_medium, may_vary, varies_along
 from .table import VolumeData
 
 # Flights of a path between two rays: longer ways go on with a new ray
@@ -63,9 +63,33 @@ PASSED, SCATTERED, STOPPED = 0, 1, 2
 
 
 @wp.func
-def _most(m: Coefficients, bound: float) -> float:
+def densest(m: Coefficients, bound: float) -> float:
     """What coefficients are divided by: where a bound is exceeded no light must be gained."""
     return wp.max(bound, wp.max(m.extinction[0], wp.max(m.extinction[1], m.extinction[2])))
+
+
+@functools.cache
+def make_shining(programs: ProgramFeatures) -> wp.Function:
+    """Function (volumes, inside: vec4i, point: ShadingPoint) -> vec3: what all volumes together emit at `point`,
+    as flights find it [W/(m³ sr)]: less where the bound there is too low, and nothing where it is 0.
+    """
+    medium = make_medium(programs)
+    varies = may_vary(programs)
+
+    @wp.func
+    def shining(volumes: VolumeData, inside: wp.vec4i, point: ShadingPoint) -> wp.vec3:
+        floats = wp.zeros(wp.static(LOBES_MOST * PHASE_LOBE_FLOATS), dtype=float)
+        lobes = wp.array(ptr=address_of(floats), shape=(wp.static(LOBES_MOST),), dtype=PhaseLobe)
+        m = medium(volumes, inside, point, lobes)
+        if wp.static(varies):
+            if varies_along(volumes, inside):
+                reach = bound_ahead(volumes, inside, point.position, -point.incoming, point.time)
+                if not reach.bound > 0.0:
+                    return wp.vec3(0.0)
+                return m.emission * (reach.bound / densest(m, reach.bound))
+        return m.emission
+
+    return shining
 
 
 @functools.cache
@@ -104,7 +128,7 @@ def make_transmitted(programs: ProgramFeatures) -> wp.Function:
                 t += wp.max(flight, wp.static(_LENGTH_LEAST))
                 point.position = begin + t * direction
                 m = medium(volumes, inside, point, lobes)
-                most = _most(m, reach.bound)
+                most = densest(m, reach.bound)
                 for axis in range(3):
                     share[axis] = share[axis] * wp.max(1.0 - m.extinction[axis] / most, 0.0)
                 largest = wp.max(share[0], wp.max(share[1], share[2]))
@@ -210,7 +234,7 @@ def make_track(programs: ProgramFeatures, weighed: wp.Function | None = None) ->
                 point.position = begin + t * direction
                 m = medium(volumes, inside, point, lobes)
                 carried = wp.cw_mul(throughput, way.weight)
-                most = _most(m, reach.bound)
+                most = densest(m, reach.bound)
                 scattered = m.scattering / most
                 if seeks and m.lobes > 0:
                     share = float(1.0)

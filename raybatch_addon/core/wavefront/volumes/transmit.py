@@ -19,11 +19,12 @@ from ..stages.generate import pixel_sample
 from ..stages.limits import PathLimits
 from ..stages.work import TileWork
 from .cross import behind_surface
-from .emission.weigh import emitting_code, make_emission
+from .emission.weigh import emitting_code
 from .features import VolumeFeatures
 from .scatter import SEGMENTS_MOST
 from .segment import make_passed, ray_point
 from .table import VolumeData, is_empty
+from .track import make_shining
 
 # Pieces of a shadow ray that have random numbers of their own
 _PIECES = 1 << 10
@@ -36,7 +37,7 @@ def make_transmit(features: VolumeFeatures) -> wp.Function:
     surface_point = make_surface_point(features.instancing, features.smooth_normals, features.curves, features.moving)
     is_closed = make_is_closed(features.curves)
     attenuated = make_passed(features.volume_program)
-    emission = make_emission(features.volume_program) if features.volume_lights else None
+    shining = make_shining(features.volume_program) if features.volume_lights else None
 
     @wp.func
     def transmit(
@@ -82,7 +83,7 @@ def make_transmit(features: VolumeFeatures) -> wp.Function:
                         end = rays.origin[slot] + length * direction
                         kind = int(wp.static(int(Visibility.SHADOW)))
                         bounce = bounce_to_light(paths.status[path])
-                        shines = emission(volumes, code, ray_point(end, direction, kind, bounce, time_of(rays, path)))
+                        shines = shining(volumes, inside, ray_point(end, direction, kind, bounce, time_of(rays, path)))
                     paths.shadow_light[path] = wp.cw_mul(paths.shadow_light[path], shines)
         if borders:
             surface = surface_point(

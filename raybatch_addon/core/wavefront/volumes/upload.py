@@ -118,10 +118,15 @@ def upload_volumes(
     data.varies = int(may_vary(features.volume_program))
     data.scatters = int(not features.volume_lights or any(map(_may_scatter, volumes)))
     ops, asked = features.volume_program.ops, narrow(shading, VolumeFeatures)
-    warnings = _bound(data, scene, asked, volume_of, device, ops, cache.bounds)
+    key = bounds_key(scene, volume_of, ops, device.alias) if data.varies or features.volume_lights else ([], ())
+    warnings = _bound(data, scene, asked, volume_of, device, ops=ops, key=key, kept=cache.bounds)
     if ClosureKind.RAY_PORTAL in features.closures:
         warnings.append("Ray Portal: a ray that comes out of one is in the volumes of the place where it went in")
-    cells = _emission(data, scene, asked, volume_of, device, cache.cells) if features.volume_lights else None
+    cells = None
+    if features.volume_lights:
+        cells = _emission(data, scene, asked, volume_of, device, key=key, kept=cache.cells)
+    else:
+        cache.cells.clear()
     return UploadedVolumes(data, enclosures.kept, grids, stored, warnings, cells)
 
 
@@ -143,17 +148,17 @@ def _emission(
     features: VolumeFeatures,
     volume_of: np.ndarray,
     device: wp.Device,
+    key: tuple[list[np.ndarray | None], tuple],
     kept: Last[FoundCells | None],
 ) -> EmissiveCells | None:
     """The cells of `scene` in which volumes emit, or those that are `kept`; what kernels read of them is written to
-    `data`.
+    `data`. `key`: of the bounds.
     """
-    volumes = scene_volumes(scene)
-    arrays, values = bounds_key(scene, volume_of, features.volume_program.ops, np.zeros((2, 3)), device.alias)
+    arrays, values = key
     seen = scene.instances.visibility.tobytes(), apart(scene).tobytes()
-    key = arrays, (values, tuple(volume.closures for volume in volumes), seen)
+    closures = tuple(volume.closures for volume in scene_volumes(scene))
     found = kept.get(
-        key,
+        (arrays, (values, closures, seen)),
         lambda: find_cells(
             data, scene, volume_of, lambda asked, count: launch_bound(features, asked, count, device), device
         ),
@@ -171,9 +176,12 @@ def _bound(
     volume_of: np.ndarray,
     device: wp.Device,
     ops: tuple[str, ...],
+    key: tuple[list[np.ndarray | None], tuple],
     kept: Last[FoundBounds | None],
 ) -> list[str]:
-    """Find the bounds of programs that vary, or take those that are `kept`; what of their volumes is not rendered."""
+    """Find the bounds of programs that vary, or take those that are `kept`; what of their volumes is not rendered.
+    `key`: what they follow from, but for the world's box.
+    """
     has_program = [volume.program is not None for volume in scene_volumes(scene)]
     if not data.varies:
         kept.clear()
@@ -198,7 +206,8 @@ def _bound(
             found = dataclasses.replace(found, goes_on=goes_on_beyond(data, box, launch, device))
         return found
 
-    found = kept.get(bounds_key(scene, volume_of, ops, box, device.alias), find)
+    arrays, values = key
+    found = kept.get((arrays, (values, box.tobytes() if has_program[-1] and data.world >= 0 else None)), find)
     if not found:
         return []
     data.grids, data.bounds = found.grids, found.bounds

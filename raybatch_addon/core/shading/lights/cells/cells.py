@@ -19,11 +19,10 @@ from ..table import LightRecord, LightTable
 
 
 @wp.func
-def cell_pdf(light: LightRecord, distance_squared: float) -> float:
-    """Density of a point that is chosen in a cell [1/sr], if the cell is; see above."""
-    turned = wp.dot(light.axis, wp.cross(light.axis_x, light.axis_y))
-    volume = 8.0 * light.half_x * light.half_y * light.radius * wp.abs(turned)
-    return distance_squared * light.emission[0] / volume
+def cell_pdf(light: LightRecord, way: wp.vec3) -> float:
+    """Density of a point that is chosen in a cell [1/sr], if the cell is, `way` [m] from the shaded one; see above."""
+    scaled = light.spread_scale * way  # volumes and squares of lengths may be beyond float32
+    return wp.dot(scaled, scaled)
 
 
 @wp.func
@@ -40,11 +39,10 @@ def sample_cell(light: LightRecord, position: wp.vec3, u_choice: float, u: wp.ve
     offset += (2.0 * u[0] - 1.0) * light.half_x * light.axis_x
     offset += (2.0 * u[1] - 1.0) * light.half_y * light.axis_y
     offset += (2.0 * third - 1.0) * light.radius * light.axis
-    square = wp.dot(offset, offset)
-    s.distance = wp.sqrt(square)
+    s.distance = wp.length(offset)
     if s.distance > 0.0:
         s.direction = offset / s.distance
-        s.pdf = cell_pdf(light, square)
+        s.pdf = cell_pdf(light, offset)
     s.radiance = wp.vec3(1.0)
     return s
 

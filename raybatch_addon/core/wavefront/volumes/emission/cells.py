@@ -2,7 +2,10 @@
 
 How bright a cell is, is estimated at some points of it: by the program of the volume, and by the share of the points
 that lie within its surface. What is brighter than estimated is aimed at more seldom, and what no point shows is left to
-scattered rays. So are volumes that move, and those that not all kinds of rays see.
+scattered rays. So are volumes that move.
+
+Shadow rays and scattered rays must agree on which volumes they are in, and so must see the same of those that may emit:
+where they do not, no volume is aimed at, as a ray that begins in one that it does not see never leaves it.
 """
 
 from __future__ import annotations
@@ -15,11 +18,12 @@ import warp as wp
 
 from ....device.devices import load_module
 from ....device.kernel import KERNEL_OPTIONS
-from ....scene.description import ClosureKind, Mesh, Scene, Visibility
+from ....scene.description import SCATTERED_RAYS, ClosureKind, Mesh, Scene, Visibility
 from ....scene.features import emits_somewhere, is_emissive, scene_volumes
 from ....scene.motion import apart
 from ....shading.lights.emitters import EmissiveCells
 from ....shading.sequences.keys import mix_bits, sequence_number
+from ....shading.volumes.enclosures import AHEAD, FARTHEST
 from ..bounds import CELLS_MOST, Bounded, bounded_volumes
 from ..grids import density_scale
 from ..table import BoundWork, EmissionGrid, VolumeData, VolumeLights
@@ -30,9 +34,8 @@ _EMITTERS_ALONG, _EMITTERS_TOGETHER = 16, 1 << 16
 _POINTS = 8
 # Share of its own brightness that a cell gives to the cells around it, whose points may have missed something
 _SPREAD = 0.1
-# A direction that lies along no axis, in which the surface around a point is looked for
-_AHEAD = wp.constant(wp.vec3(0.436, 0.218, 0.873))
-_FARTHEST = 1e30
+# The rays by which light of volumes is found
+_LIGHT_RAYS = SCATTERED_RAYS | int(Visibility.SHADOW)
 
 
 @dataclass(frozen=True)
@@ -60,8 +63,8 @@ class FoundCells:
 
 
 @wp.kernel(**KERNEL_OPTIONS)
-def inside_kernel(mesh: wp.uint64, low: wp.vec3, size: wp.vec3, cells: int, found: wp.array(dtype=float)):
-    """The share of the points of each cell of a box, whose corner is `low`, that are in a closed surface."""
+def inside_kernel(mesh: wp.uint64, cells: int, found: wp.array(dtype=float)):
+    """The share of the points of each cell of the box from 0 to 1 that are in a closed surface."""
     i = wp.tid()
     cell = wp.vec3(float(i / (cells * cells)), float((i / cells) % cells), float(i % cells))
     inside = int(0)
@@ -72,8 +75,8 @@ def inside_kernel(mesh: wp.uint64, low: wp.vec3, size: wp.vec3, cells: int, foun
             sequence_number(mix_bits(seed + wp.uint32(1))),
             sequence_number(mix_bits(seed + wp.uint32(2))),
         )
-        place = low + wp.cw_mul(size, cell + u) / float(cells)
-        hit = wp.mesh_query_ray(mesh, place, wp.normalize(_AHEAD), wp.static(_FARTHEST))
+        ahead = wp.normalize(wp.vec3(wp.static(AHEAD[0]), wp.static(AHEAD[1]), wp.static(AHEAD[2])))
+        hit = wp.mesh_query_ray(mesh, (cell + u) / float(cells), ahead, wp.static(FARTHEST))
         if hit.result and hit.sign < 0.0:
             inside += 1
     found[i] = float(inside) / float(_POINTS)
@@ -86,22 +89,21 @@ def find_cells(
     launch: Callable[[VolumeData, int], None],
     device: wp.Device,
 ) -> FoundCells | None:
-    """The cells of `volumes` of `scene`, of which everything else is there; None where none emits.
+    """The cells of `volumes` of `scene`, of which everything else is there; None where none emits, or some rays do not
+    see one that may.
 
     `volume_of`: volume of each material, -1: none. `launch(volumes, cell_count)`: of `make_bound` with emission.
     """
     filling = scene_volumes(scene)
-    emits = [is_emissive(volume) for volume in filling]
-    if scene.world.volume is not None:
-        emits[-1] = False
-    may_emit = np.array([emits_somewhere(volume) for volume in filling], np.int32)
-    moves = apart(scene)
-    seen = scene.instances.visibility & int(Visibility.ALL) == int(Visibility.ALL)
-    bounded = [
-        each
-        for each in bounded_volumes(scene, volume_of, emits, np.zeros((2, 3)))
-        if each.instance >= 0 and seen[each.instance] and not moves[each.instance]
-    ]
+    may_emit = [emits_somewhere(volume) for volume in filling]
+    shining = bounded_volumes(scene, volume_of, may_emit, np.zeros((2, 3)))
+    seen = scene.instances.visibility & int(Visibility.ALL)
+    agrees = (seen & _LIGHT_RAYS == _LIGHT_RAYS) | (seen == 0)
+    if not all(agrees[each.instance] for each in shining):
+        return None
+    aimed = [is_emissive(volume) for volume in filling]
+    aimed_at = (seen > 0) & ~apart(scene)
+    bounded = [each for each in shining if aimed[each.volume] and aimed_at[each.instance]]
     bounded = [each for each in bounded if abs(np.linalg.det(each.to_world[:, :3])) > 0]
     if not bounded:
         return None
@@ -119,7 +121,8 @@ def find_cells(
         if key not in shares:
             shares[key] = _inside(each.mesh, slots, low, size, count, device)
         edges = each.to_world[:, :3] * size
-        origin = each.to_world[:, :3] @ low + each.to_world[:, 3]
+        # as kernels have it: cells begin where they are looked for
+        origin = (each.to_world[:, :3] @ low + each.to_world[:, 3]).astype(np.float32).astype(np.float64)
         longest = float(np.linalg.norm(edges, axis=0).max())
         volume = filling[each.volume]
         if volume.program is None:
@@ -136,8 +139,7 @@ def find_cells(
         strength = _spread(strength.reshape((count,) * 3)).ravel() * (shares[key] > 0)
         strength = np.where(np.isfinite(strength), strength, 0)
         bright = np.flatnonzero(strength > 0)
-        inverse = np.linalg.inv(edges) * count
-        grids[number]["to_cells"] = np.column_stack([inverse, -inverse @ origin])
+        grids[number]["origin"], grids[number]["to_cells"] = origin, np.linalg.inv(edges) * count
         grids[number]["size"], grids[number]["first"] = count, number * count**3
         of[code - 1] = number
         place = np.stack(np.unravel_index(bright, (count,) * 3), 1)
@@ -152,7 +154,7 @@ def find_cells(
     if not total:
         return None
     cells = EmissiveCells(*(np.concatenate(values) for values in zip(*parts)))
-    return FoundCells(cells, of, grids, np.concatenate(emitters), np.concatenate(codes), may_emit)
+    return FoundCells(cells, of, grids, np.concatenate(emitters), np.concatenate(codes), np.array(may_emit, np.int32))
 
 
 def _slots(scene: Scene, each: Bounded, volume_of: np.ndarray) -> np.ndarray:
@@ -169,13 +171,14 @@ def _inside(
     corners = mesh.triangles if mesh.triangle_slot is None else mesh.triangles[slots[mesh.triangle_slot]]
     if not len(corners):
         return np.zeros(count**3)
+    positions = ((mesh.positions - low) / size).astype(np.float32)
     surface = wp.Mesh(
-        wp.array(mesh.positions, dtype=wp.vec3, device=device),
+        wp.array(positions, dtype=wp.vec3, device=device),
         wp.array(np.ascontiguousarray(corners, np.int32).ravel(), dtype=int, device=device),
     )
     found = wp.zeros(count**3, dtype=float, device=device)
     load_module(inside_kernel, device)
-    wp.launch(inside_kernel, count**3, [surface.id, wp.vec3(*low), wp.vec3(*size), count, found], device=device)
+    wp.launch(inside_kernel, count**3, [surface.id, count, found], device=device)
     return found.numpy().astype(np.float64)
 
 
@@ -189,18 +192,16 @@ def _evaluated(
     device: wp.Device,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Mean emission [W/(m³ sr)] and largest extinction [1/m] of each cell of a volume, float64, shape [count^3]."""
-    world, results = volumes.world, []
-    volumes.world = -1
-    for emission in (1, 0):
-        asked = BoundWork()
-        asked.inside, asked.cells, asked.rays, asked.moving = wp.vec4i(code, 0, 0, 0), count, 1, -1
-        asked.origin, asked.edges, asked.emission = wp.vec3(*origin), wp.mat33(*edges.ravel()), emission
-        asked.found = wp.zeros(count**3, dtype=float, device=device)
-        volumes.asked = asked
-        launch(volumes, count**3)
-        results.append(asked.found.numpy().astype(np.float64))
+    world, volumes.world = volumes.world, -1
+    asked = BoundWork()
+    asked.inside, asked.cells, asked.rays, asked.moving = wp.vec4i(code, 0, 0, 0), count, 1, -1
+    asked.origin, asked.edges, asked.emission = wp.vec3(*origin), wp.mat33(*edges.ravel()), 1
+    asked.found = wp.zeros(2 * count**3, dtype=float, device=device)
+    volumes.asked = asked
+    launch(volumes, count**3)
     volumes.asked, volumes.world = BoundWork(), world
-    return results[0], results[1]
+    extinction, emission = asked.found.numpy().astype(np.float64).reshape(2, -1)
+    return emission, extinction
 
 
 def _spread(strength: np.ndarray) -> np.ndarray:

@@ -11,19 +11,15 @@ import warp as wp
 
 from ....programs.point import ShadingPoint
 from ....scene.features import narrow
-from ....scene.geometry import transform_point
-from ....scene.program import ProgramFeatures
-from ....shading.bsdf.materials import address_of
 from ....shading.lights.cells.cells import cell_pdf
 from ....shading.lights.choice import ChoiceFeatures, LitPoint, make_light_choice
 from ....shading.lights.lights import light_weights
 from ....shading.lights.table import LightTable
 from ....shading.sequences.keys import mix_bits
 from ....shading.volumes.numbers import EMISSION_STREAM, stream_number
-from ....shading.volumes.phase import PhaseLobe
 from ..along import Sought, lit_length
 from ..features import VolumeFeatures
-from ..medium import LOBES_MOST, PHASE_LOBE_FLOATS, Coefficients, make_medium, passes
+from ..medium import Coefficients, passes
 from ..table import INSIDE_MOST, VolumeData, entry
 
 # Points along a piece of a ray at which a medium that is the same everywhere is looked at
@@ -41,51 +37,40 @@ class Seen:
 @wp.func
 def emitting_code(volumes: VolumeData, inside: wp.vec4i) -> int:
     """The code of the volume that alone may emit where a ray is in these, as in `MediaState.inside`; 0: there is none,
-    it is the world's, or there are several, whose light is left to rays.
+    or there are several, whose light is left to rays. That of the world emits nothing where volumes are emitters.
     """
     code = int(0)
     count = int(0)
-    for place in range(wp.static(INSIDE_MOST + 1)):
+    for place in range(wp.static(INSIDE_MOST)):
         found = entry(volumes, inside, place)
         if found[1] >= 0:
             if volumes.lights.emits[found[1]] != 0:
                 count += 1
-                if found[0] >= 0:
-                    code = 1 + found[0] * volumes.volume_count + found[1]
+                code = inside[place]
     return wp.where(count == 1, code, 0)
 
 
 @wp.func
-def cell_at(volumes: VolumeData, code: int, position: wp.vec3) -> int:
-    """The emitter that is the cell around `position` of the volume of this code; -1: there is none."""
-    number = volumes.lights.of[code - 1]
-    if number < 0:
+def weighed_grid(volumes: VolumeData, inside: wp.vec4i) -> int:
+    """The entry in `VolumeLights.grids` of the volume whose light is weighed where a ray is in these; -1: none's is."""
+    if volumes.lights.of.shape[0] == 0:
         return -1
+    code = emitting_code(volumes, inside)
+    if code == 0:
+        return -1
+    return volumes.lights.of[code - 1]
+
+
+@wp.func
+def cell_at(volumes: VolumeData, number: int, position: wp.vec3) -> int:
+    """The emitter that is the cell around `position`, a point of the volume with this grid; -1: there is none."""
     grid = volumes.lights.grids[number]
-    at = transform_point(grid.to_cells, position)
+    at = grid.to_cells * (position - grid.origin)
     cell = int(0)
     for axis in range(3):
-        if not (at[axis] >= 0.0 and at[axis] < float(grid.size)):
-            return -1
-        cell = cell * grid.size + wp.min(int(at[axis]), grid.size - 1)
+        # a point on a face may be beyond it, to rounding
+        cell = cell * grid.size + int(wp.clamp(at[axis], 0.0, float(grid.size - 1)))
     return volumes.lights.emitters[grid.first + cell]
-
-
-@functools.cache
-def make_emission(programs: ProgramFeatures) -> wp.Function:
-    """Function (volumes, code: int, point: ShadingPoint) -> vec3: what the volume of `code`, a code of
-    `MediaState.inside`, emits at `point` [W/(m³ sr)].
-    """
-    medium = make_medium(programs, alone=True)
-
-    @wp.func
-    def emission(volumes: VolumeData, code: int, point: ShadingPoint) -> wp.vec3:
-        floats = wp.zeros(wp.static(LOBES_MOST * PHASE_LOBE_FLOATS), dtype=float)
-        lobes = wp.array(ptr=address_of(floats), shape=(wp.static(LOBES_MOST),), dtype=PhaseLobe)
-        m = medium(volumes, wp.vec4i(code, 0, 0, 0), point, lobes)
-        return m.emission
-
-    return emission
 
 
 @functools.cache
@@ -101,16 +86,18 @@ def make_weighed(features: VolumeFeatures) -> wp.Function:
         volumes: VolumeData, table: LightTable, seen: Seen, inside: wp.vec4i, point: ShadingPoint, emission: wp.vec3
     ) -> wp.vec3:
         shines = emission[0] > 0.0 or emission[1] > 0.0 or emission[2] > 0.0
-        if not shines or not seen.pdf > 0.0 or volumes.lights.of.shape[0] == 0:
+        if not shines or not seen.pdf > 0.0:
             return emission
-        code = emitting_code(volumes, inside)
-        if code == 0:
+        number = weighed_grid(volumes, inside)
+        if number < 0:
             return emission
-        cell = cell_at(volumes, code, point.position)
+        cell = cell_at(volumes, number, point.position)
         if cell < 0:
             return emission
         way = point.position - seen.point.position
-        pdf = cell_pdf(table.lights[cell], wp.dot(way, way)) * selection_pdf(table, seen.point, cell)
+        pdf = cell_pdf(table.lights[cell], way) * selection_pdf(table, seen.point, cell)
+        if not pdf < wp.inf:  # beyond the range of numbers: no such point is aimed at
+            return emission
         return hit_weight(seen.pdf, pdf) * emission
 
     return weighed
