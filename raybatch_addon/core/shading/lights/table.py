@@ -69,8 +69,7 @@ class LightRecord:
     half_x: float  # RECTANGLE, ELLIPSE, CELL: half width [m]
     half_y: float
     tan_half_spread: float  # RECTANGLE, ELLIPSE: tangent of half the spread
-    # RECTANGLE, ELLIPSE: one over that tangent; 0: into the whole half space; CELL: 1 / sqrt(rate * volume) [1/m]
-    spread_scale: float
+    spread_scale: float  # RECTANGLE, ELLIPSE: one over that tangent, or 0; CELL: 1 / sqrt(rate * volume) [1/m]
 
 
 @wp.struct
