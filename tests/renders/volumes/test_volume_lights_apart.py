@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+import warp as wp
 
 from raybatch_addon.core.programs.builder import ProgramBuilder
 from raybatch_addon.core.programs.ops.values.math import MathOperation
@@ -13,6 +14,7 @@ from raybatch_addon.core.settings.settings import RenderSettings
 from tests.renders.volumes.test_volume_lights import ONCE, assert_same_mean, over_floor, rising, run_means
 from tests.renders.volumes.test_volumes import filled, medium, picture
 from tests.support import scenes
+from tests.support.under_test import DEVICE
 
 pytestmark = pytest.mark.usefixtures("general_kernels")
 
@@ -92,7 +94,9 @@ def sheets(emission: float, period: float, share: float) -> Volume:
 def test_light_that_bounds_have_missed_is_missed_by_shadow_rays_too(session):
     """About half of the bounds of thin layers are 0, where rays do not look."""
     scene = over_floor(sheets(1000.0, EDGE / 32, 0.003), edge=EDGE, place=np.array([0.0, 0.0, 0.6]))
-    assert_rays_find_the_same(session, scene, mis="OFF", sample_count=2048)
+    # a GPU's bounds leave fewer layers to be found, by rarer and brighter samples
+    sample_count = 16384 if wp.get_device(DEVICE).is_cuda else 2048
+    assert_rays_find_the_same(session, scene, mis="OFF", sample_count=sample_count)
 
 
 def scaled(size: float) -> Scene:
