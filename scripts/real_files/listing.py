@@ -83,7 +83,7 @@ def files_listed(listing: Path, folder: Path, only: list[str]) -> list[RealFile]
     """
     files = []
     for entry in read_listing(listing):
-        name = f"{entry['repository']}/{entry['path']}"
+        name = name_of(entry)
         places = [folder / entry["repository"].replace("/", "+") / entry["path"], folder / name]
         path = next((each for each in places if each.exists()), places[0])
         if not only or any(part.lower() in name.lower() for part in only):
@@ -111,16 +111,21 @@ def read_listing(listing: Path) -> list[dict[str, Any]]:
     return entries
 
 
+def name_of(entry: dict[str, Any]) -> str:
+    """The name of an entry's file: OWNER/NAME/PATH."""
+    return f"{entry['repository']}/{entry['path']}"
+
+
 def names_that_differ(entries: list[dict[str, Any]]) -> set[str]:
     """Names of the files of a list whose finding says which engine is right: their pictures differ, also where the
     noise of a comparison hides it.
     """
-    return {f"{each['repository']}/{each['path']}" for each in entries if each.get("finding", {}).get("right")}
+    return {name_of(each) for each in entries if each.get("finding", {}).get("right")}
 
 
 def names_that_ask(entries: list[dict[str, Any]]) -> set[str]:
     """Names of the files of a list whose entry says that they ask for more than surfaces, as hair or volumes."""
-    return {f"{each['repository']}/{each['path']}" for each in entries if each.get("asks")}
+    return {name_of(each) for each in entries if each.get("asks")}
 
 
 def may_be_shown(about: dict[str, Any]) -> bool:

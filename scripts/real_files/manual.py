@@ -14,7 +14,7 @@ from lib.output import json_text, write_text
 from tables.marked_text import list_item, wrapped
 
 from real_files.judging import NAMES
-from real_files.listing import may_be_shown, read_listing
+from real_files.listing import may_be_shown, name_of, read_listing
 from real_files.pictures import GAIN, where_both_are, write_png
 from real_files.records import Record
 from real_files.rows import DIFFERS, summary_of
@@ -72,7 +72,7 @@ the sources whose pictures differ are named, and a person looked for the reason.
 
 def with_findings(report: dict[str, Any], listing: list[dict[str, Any]]) -> str:
     """The page's text, from a report as `results.json` keeps it and the list."""
-    about = {f"{entry['repository']}/{entry['path']}": entry for entry in listing}
+    about = {name_of(entry): entry for entry in listing}
     versions = ", ".join(f"{name} {value}" for name, value in report["versions"].items())
     # requests of earlier comparisons know none of these
     repeats, defaults = report["request"].get("repeats", 1), report["request"].get("defaults", False)
@@ -137,7 +137,7 @@ def _section(row: dict[str, Any], entry: dict[str, Any]) -> list[str]:
 def write_manual(root: Path, report: dict[str, Any], records: list[Record], slugs: dict[str, str]) -> None:
     """Write the page, its pictures and its results; `slugs` are names of files for rows."""
     listing = read_listing(root / LISTING)
-    about = {f"{entry['repository']}/{entry['path']}": entry for entry in listing}
+    about = {name_of(entry): entry for entry in listing}
     folder = root / FOLDER
     folder.mkdir(exist_ok=True)
     by_name = {record.name: record for record in records}

@@ -54,9 +54,8 @@ class ChoiceTable:
     below: wp.array(dtype=int)  # of each node: the block below it; less than 0: -1 - the number of the emitter
     above: wp.array(dtype=int)  # of each block: the node above it; -1: none
     leaf: wp.array(dtype=int)  # node of each emitter; -1: it has no place
-    hidden_with: wp.array(
-        dtype=int
-    )  # of each node of the top: the first one of its group (`top_groups`); [BLOCK_WIDTH]
+    # of each node of the top: the first one of its group (`top_groups`); [BLOCK_WIDTH]
+    hidden_with: wp.array(dtype=int)
     group_count: int  # of those groups
     top_count: int  # nodes of the top
     distant_count: int
