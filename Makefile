@@ -21,6 +21,7 @@ TESTS ?=
 TEST_JOBS ?= auto
 PART ?= 1/1
 BLENDER ?=
+COMPILE_AHEAD ?= wait
 
 venv_python := $(VENV)/bin/python
 export PYTHON VENV
@@ -39,12 +40,15 @@ help:
 	@sed -n 's/^# //p' Makefile
 
 environment:
-	@sh scripts/environment/environment.sh
+	@sh scripts/environment/environment.sh $(COMPILE_AHEAD)
 
+# compiles what the demo needs first, and then, in the background, what any scene can begin with
+render: export COMPILE_AHEAD = later
 render: environment
 	@$(MAKE) --no-print-directory out/demo.blend
 	$(venv_python) scripts/render.py out/demo.blend -o out/demo.png --json out/demo.json
 	@echo "rendered out/demo.png; statistics are in out/demo.json" >&2
+	@sh scripts/environment/environment.sh start
 
 # made by the Blender of the environment that is used: another one makes it again
 out/demo.blend: $(wildcard scripts/make_demo*.py) out/demo.environment

@@ -1,21 +1,30 @@
-"""Make the project's virtual environment: python scripts/environment/environment.py FOLDER (called by environment.sh).
+"""Make the project's virtual environment: python scripts/environment/environment.py FOLDER [wait|later|start].
 
-Run by the Python that the environment is for. A stamp in the folder holds what was installed; while it matches, nothing
-is done.
+Run by the Python that the environment is for (`environment.sh` finds it). A stamp in the folder holds what was
+installed; while it matches, nothing is installed again. Another stamp stands for the kernels that any scene can begin
+with. Where it is missing, a process of its own compiles them, in the background after the first minute (`wait`), or
+from the start (`start`); `later` leaves them to a later call.
 """
 
 import hashlib
 import json
 import re
+import shutil
 import subprocess
 import sys
+import time
 import tomllib
 import venv
+from collections.abc import Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRESS = re.compile(r"compiled (\d+) of \d+ modules")  # a line of `render.py --prewarm`
 MODULES_A_LINE = 10
+WAIT_SECONDS = 50.0  # for kernels, before they are left to the background
+TICK_SECONDS = 0.1
+NICENESS = 10  # renders, tests and checks come first
+KERNELS = ("wait", "later", "start")
 GROUPS = ("scripts", "blender", "test")
 
 
@@ -26,55 +35,104 @@ def requirements(pyproject: Path) -> list[str]:
 
 
 def main() -> int:
-    if len(sys.argv) != 2 or sys.argv[1].startswith("-"):
-        print("usage: environment.py FOLDER (`make environment` calls it)", file=sys.stderr)
+    if len(sys.argv) not in (2, 3) or sys.argv[1].startswith("-") or sys.argv[2:] not in ([], *([k] for k in KERNELS)):
+        print(f"usage: environment.py FOLDER [{'|'.join(KERNELS)}] (`make environment` calls it)", file=sys.stderr)
         return 2
     folder = Path(sys.argv[1]).absolute()
+    kernels = (*sys.argv[2:], "wait")[0]
     base = Path(getattr(sys, "_base_executable", sys.executable)).resolve()
     wanted = requirements(ROOT / "pyproject.toml")
     # An environment holds absolute paths, so one that was moved is made again.
     identity = json.dumps([wanted, "{}.{}".format(*sys.version_info), str(folder)])
-    stamp = folder / "raybatch-environment"
+    installed, compiled = folder / "raybatch-environment", folder / "raybatch-kernels"
     expected = hashlib.sha256(identity.encode()).hexdigest()
-    if stamp.is_file() and stamp.read_text(encoding="ascii").strip() == expected:
-        return 0
+    python = folder / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
+    if not is_stamped(installed, expected):
+        if Path(sys.prefix).resolve() == folder.resolve():  # it cannot clear itself: the Python it came from does it
+            return subprocess.call([str(base), __file__, *sys.argv[1:]])
+        if code := install(folder, base, python, wanted):
+            return code
+        installed.write_text(expected + "\n", encoding="ascii")
+    if kernels != "later" and not is_stamped(compiled, expected):
+        command = [str(python), str(ROOT / "scripts/render.py"), "--prewarm", "--device", "cpu"]
+        compile_kernels(command, folder / "raybatch-kernels.log", WAIT_SECONDS if kernels == "wait" else 0.0)
+        compiled.write_text(expected + "\n", encoding="ascii")
+    return 0
 
-    if Path(sys.prefix).resolve() == folder.resolve():  # it cannot clear itself: let the Python it came from do it
-        return subprocess.call([str(base), __file__, str(folder)])
+
+def is_stamped(stamp: Path, expected: str) -> bool:
+    """Whether the file `stamp` says that what is `expected` was made."""
+    return stamp.is_file() and stamp.read_text(encoding="ascii").strip() == expected
+
+
+def install(folder: Path, base: Path, python: Path, wanted: Sequence[str]) -> int:
+    """Make the environment in `folder` by the Python `base`, and install what is `wanted` there; pip's exit code."""
     print(
         f"RayBatch: making {folder.name} with Python {sys.version.split()[0]} ({base}); this takes a few minutes once",
         file=sys.stderr,
     )
     venv.EnvBuilder(clear=True, with_pip=True, symlinks=sys.platform != "win32").create(folder)
-    python = folder / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
     pip = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-input", *wanted]
-    if code := subprocess.call(pip, stdin=subprocess.DEVNULL, stdout=sys.stderr):
+    code = subprocess.call(pip, stdin=subprocess.DEVNULL, stdout=sys.stderr)
+    if code:
         print(
             "RayBatch: the dependencies could not be installed (see above); run the command again when that is mended",
             file=sys.stderr,
         )
-        return code
-    stamp.write_text(expected + "\n", encoding="ascii")
-    compile_kernels(python)
-    return 0
+    return code
 
 
-def compile_kernels(python: Path) -> None:
-    """Compile what any scene can begin with, so that the first render need not wait for it."""
-    print("RayBatch: compiling the kernels that any scene can begin with; this takes a minute or two", file=sys.stderr)
-    command = [str(python), str(ROOT / "scripts/render.py"), "--prewarm", "--device", "cpu"]
-    said = ""  # last, beside how far it is
-    with subprocess.Popen(
-        command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
-    ) as process:
-        for line in process.stderr or ():
-            if found := PROGRESS.fullmatch(line.strip()):
-                if int(found[1]) % MODULES_A_LINE == 0:
-                    print(f"RayBatch: {found[0]}", file=sys.stderr, flush=True)
-            else:
-                said = line.strip() or said
-    if code := process.returncode:  # renders compile what they need
+def compile_kernels(command: Sequence[str], log: Path, seconds: float) -> None:
+    """Run `command`, which compiles kernels and writes to the file `log`, and wait for it for so many `seconds`.
+
+    After them it goes on in the background: renders compile what they need, and need not wait for the rest.
+    """
+    print("RayBatch: compiling the kernels that any scene can begin with", file=sys.stderr, flush=True)
+    deadline = time.monotonic() + seconds
+    process = begin_apart(command, log)
+    said = reached = rest = ""  # last, beside how far it is; that; and a line that is not whole yet
+    try:
+        with log.open(encoding="utf-8", errors="replace") as lines:
+            has_ended = False
+            while not has_ended and time.monotonic() < deadline:
+                has_ended = process.poll() is not None  # looked at before the last lines are read
+                *whole, rest = (rest + lines.read()).split("\n")
+                for line in whole:
+                    if found := PROGRESS.fullmatch(line.strip()):
+                        reached = found[0]
+                        if int(found[1]) % MODULES_A_LINE == 0:
+                            print(f"RayBatch: {reached}", file=sys.stderr, flush=True)
+                    else:
+                        said = line.strip() or said
+                if not has_ended:
+                    time.sleep(TICK_SECONDS)
+    except KeyboardInterrupt:
+        process.terminate()
+        raise
+    if process.poll() is None:
+        so_far = f"{reached}; the rest" if reached else "they"
+        verb = "is" if reached else "are"
+        print(f"RayBatch: {so_far} {verb} compiled in the background, which writes to {log}", file=sys.stderr)
+    elif code := process.returncode:  # renders compile what they need
         print(f"RayBatch: they could not be compiled: {said[-300:] or f'it ended with code {code}'}", file=sys.stderr)
+
+
+def begin_apart(command: Sequence[str], log: Path) -> subprocess.Popen:
+    """Begin `command` at low priority; the end of this process, or of its terminal, does not end it."""
+    flags, before = 0, []
+    if sys.platform == "win32":
+        flags = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.BELOW_NORMAL_PRIORITY_CLASS
+    elif shutil.which("nice"):
+        before = ["nice", "-n", str(NICENESS)]
+    with log.open("wb") as out:
+        return subprocess.Popen(
+            [*before, *command],
+            stdin=subprocess.DEVNULL,
+            stdout=out,
+            stderr=out,
+            creationflags=flags,
+            start_new_session=True,
+        )
 
 
 if __name__ == "__main__":

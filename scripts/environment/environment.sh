@@ -1,5 +1,6 @@
 #!/bin/sh
 # Makes the environment of the project in $VENV (default .venv), or finds it as it was left: quick when nothing changed.
+# An argument says when kernels are compiled, as environment.py knows it.
 # The Python is $PYTHON, or the newest usable one among 3.13 and 3.11 on PATH and among pyenv's versions.
 set -eu
 cd "$(dirname "$0")/../.."
@@ -40,4 +41,4 @@ elif ! python=$(find_python); then
     echo "RayBatch: no usable Python found: install Python 3.13 or 3.11 (with its venv module), or name one with PYTHON=/path/to/python" >&2
     exit 1
 fi
-exec "$python" scripts/environment/environment.py "$venv"
+exec "$python" scripts/environment/environment.py "$venv" "$@"
