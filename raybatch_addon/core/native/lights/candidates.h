@@ -47,7 +47,7 @@ auto node_light = [&](const auto* node) {
     // Cosines are multiplied by this length until the end: so roots and the reciprocal do not wait for each other.
     const Lanes length = root(sound), inverse = one / sound;
     // from within the sphere, emitters may be in any direction
-    const Lanes inside = (Lanes)(INSIDE * SPREAD) * most(reach - square, zero) * inverse;
+    const Lanes inside = (Lanes)(INSIDE)*most(reach - square, zero) / most(reach, (Lanes)(1e-30f));
     // The mean of max(cos, 0) over a sphere seen under a half angle whose sine has the square reach / sound, about. At
     // the horizon half the sphere is left, and its mean 2 / (3 pi) of the sine.
     auto turned = [&](auto cosine) {

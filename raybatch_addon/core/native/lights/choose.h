@@ -14,7 +14,7 @@ auto take = [&](int first, int width) {
     probability *= static_cast<float>(width) * UNIT;
 };
 auto choose_one = [&](const Shares& shares) {
-    int chosen = 0;
+    int chosen = 0;  // as many as end before the number or at it
 #if defined(__CUDA_ARCH__)
     while (draw >= shares.begin[chosen + 1]) ++chosen;
 #else
@@ -34,6 +34,7 @@ auto choose_one = [&](const Shares& shares) {
 int emitter = -1, block = 0;
 while (block >= 0) {
 #if !defined(__CUDA_ARCH__)
+    // else what lies below is waited for after all that is compared
     __builtin_prefetch(choice_table.below.data + block * WIDTH);
 #endif
     const Shares shares = shares_in(block);
