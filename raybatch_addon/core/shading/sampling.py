@@ -130,6 +130,20 @@ def to_world(local: wp.vec3, tangent: wp.vec3, bitangent: wp.vec3, normal: wp.ve
 
 
 @wp.func
+def sample_cone_around(axis: wp.vec3, one_minus_cos: float, u: wp.vec2) -> wp.vec3:
+    """`sample_cone` about the unit vector `axis`."""
+    return to_world(sample_cone(u, one_minus_cos), tangent_of(axis), bitangent_of(axis), axis)
+
+
+@wp.func
+def is_in_cone(direction: wp.vec3, axis: wp.vec3, one_minus_cos: float) -> bool:
+    """Whether the unit vector `direction` is one that `sample_cone_around` finds."""
+    # the chord keeps its precision where the cosine is almost 1
+    chord = direction - axis
+    return wp.dot(chord, chord) <= 2.0 * one_minus_cos
+
+
+@wp.func
 def spherical_direction(cos_theta: float, phi: float) -> wp.vec3:
     """Unit direction at polar angle theta from +Z and azimuth `phi` from +X [rad]."""
     r = wp.sqrt(wp.max((1.0 - cos_theta) * (1.0 + cos_theta), 0.0))

@@ -1,7 +1,7 @@
 // Estimates of the light that comes to `point` from nodes of the tree over emitters, and from suns and the world, which
 // are distant. 0: surely none. The nodes of a block are compared with each other, at the top with all that is distant.
 const auto& choice_table = *table.choice.data;
-auto within = [](float x, float least, float most) { return wp::min(wp::max(x, least), most); };
+auto within = [](float x, float low, float high) { return wp::min(wp::max(x, low), high); };
 const bool has_side = wp::dot(point.normal, point.normal) > 0.0f;  // a point in a volume has none
 
 #if LINKS
@@ -28,48 +28,58 @@ typedef float Wide __attribute__((ext_vector_type(WIDTH)));
 typedef float Few __attribute__((ext_vector_type(4)));
 auto root = [](auto x) { return __builtin_elementwise_sqrt(x); };
 auto absolute = [](auto x) { return __builtin_elementwise_abs(x); };
-auto most = [](auto x, auto y) { return __builtin_elementwise_max(x, y); };
-auto least = [](auto x, auto y) { return __builtin_elementwise_min(x, y); };
+// as one instruction: y where x is no number
+auto most = [](auto x, auto y) { return x > y ? x : y; };
+auto least = [](auto x, auto y) { return x < y ? x : y; };
 #endif
-// The mean of max(cos, 0) over a sphere seen under a half angle whose sine has the square `spread`, about: `cosine` is
-// that of its middle. At the horizon half the sphere is left, and its mean 2 / (3 pi) of the sine.
-auto mean_cosine = [&](auto cosine, auto spread) { return 0.5f * (cosine + root(cosine * cosine + 0.18f * spread)); };
 auto node_light = [&](const auto* node) {
     typedef decltype(node[0] + node[0]) Lanes;
-    const Lanes zero = (Lanes)(0.0f), one = (Lanes)(1.0f), cosine_min = (Lanes)(COSINE_MIN);
+    const Lanes zero = (Lanes)(0.0f), one = (Lanes)(1.0f);
     const Lanes x = node[FIELD_X] - point.position[0], y = node[FIELD_Y] - point.position[1],
                 z = node[FIELD_Z] - point.position[2];
-    const Lanes radius = node[FIELD_RADIUS], cos_axis = node[FIELD_COS_AXIS], sin_axis = node[FIELD_SIN_AXIS],
-                cos_edge = node[FIELD_COS_EDGE], power = node[FIELD_POWER];
+    const Lanes radius = node[FIELD_RADIUS], power = node[FIELD_POWER];
     const Lanes square = x * x + y * y + z * z, reach = radius * radius;
     // mean square of the distance to what is spread over the sphere
     const Lanes apart = square + (Lanes)(SPREAD)*reach;
     // else its root has lost its digits
     const auto is_sound = (apart > 1e-30f) & (apart < 1e37f);
-    const Lanes sound = is_sound ? apart : one, inverse = one / root(sound), spread = reach / sound;
+    const Lanes sound = least(most(apart, (Lanes)(1e-30f)), (Lanes)(1e37f));
+    // Cosines are multiplied by this length until the end: so roots and the reciprocal do not wait for each other.
+    const Lanes length = root(sound), inverse = one / sound;
+    // from within the sphere, emitters may be in any direction
+    const Lanes inside = (Lanes)(INSIDE)*most(reach - square, zero) / most(reach, (Lanes)(1e-30f));
+    // The mean of max(cos, 0) over a sphere seen under a half angle whose sine has the square reach / sound, about. At
+    // the horizon half the sphere is left, and its mean 2 / (3 pi) of the sine.
+    auto turned = [&](auto cosine) {
+        const auto mean = 0.5f * (cosine + root(cosine * cosine + 0.18f * reach));
+        const auto within_one = least(most(mean, length * COSINE_MIN), length);
+        return within_one + (length - within_one) * inside;
+    };
+    Lanes leave = length, arrive = length;
+    auto counts = power > 0.0f;
+#if DIRECTED
+    const Lanes cos_axis = node[FIELD_COS_AXIS], sin_axis = node[FIELD_SIN_AXIS];
     const Lanes along = -(node[FIELD_AXIS_X] * x + node[FIELD_AXIS_Y] * y + node[FIELD_AXIS_Z] * z);
     const Lanes facing = node[FIELD_TWO_SIDED] > 0.0f ? absolute(along) : along;
     const auto is_directed = cos_axis > -1.0f;
-    // cos(a - b - c) <= cos(a) + sin(b) + sin(c): none of its emitters is seen from a side that shines
-    const auto is_dark = is_sound & is_directed & (square > reach) &
-                         (facing + radius < (cos_edge - COSINE_ERROR - sin_axis) * root(is_sound ? square : one));
+    // cos(a - b - c) <= cos(a) + sin(b) + sin(c): none of its emitters is seen from a side that shines. Squares that
+    // keep their signs are compared, for roots take long.
+    const Lanes most_facing = facing + radius, edge = node[FIELD_COS_EDGE] - COSINE_ERROR - sin_axis;
+    counts = counts & !(is_sound & is_directed & (square > reach) &
+                        (most_facing * absolute(most_facing) < edge * absolute(edge) * square));
     // the normal in the cone that is nearest to the point
-    Lanes leaving = facing * inverse;
-    const Lanes beside = root(most(one - leaving * leaving, zero));
-    leaving = leaving < cos_axis ? leaving * cos_axis + beside * sin_axis : one;
-    // from within the sphere, emitters may be in any direction
-    const Lanes inside = (Lanes)(INSIDE)*most(reach - square, zero) / most(reach, (Lanes)(1e-30f));
-    auto turned = [&](auto cosine) {
-        const auto mean = least(most(mean_cosine(cosine, spread), cosine_min), one);
-        return mean + (one - mean) * inside;
-    };
-    Lanes arriving = (point.normal[0] * x + point.normal[1] * y + point.normal[2] * z) * inverse;
-    if (point.both_sides) arriving = absolute(arriving);
-    Lanes both = is_directed ? turned(leaving) : one;
-    if (has_side) both = both * turned(arriving);
-    const Lanes light = power * (is_sound ? both : one) / most(apart, (Lanes)(1e-30f));
+    const Lanes beside = root(most(sound - facing * facing, zero));
+    const Lanes nearest = facing < cos_axis * length ? facing * cos_axis + beside * sin_axis : length;
+    leave = is_directed ? turned(nearest) : length;
+#endif
+    if (has_side) {
+        const Lanes above = point.normal[0] * x + point.normal[1] * y + point.normal[2] * z;
+        arrive = turned(point.both_sides ? absolute(above) : above);
+    }
+    const Lanes both = leave * inverse * arrive;
+    const Lanes light = power * inverse * (is_sound ? both : one);
     const Lanes bounded = least(most(light, (Lanes)(LEAST)), (Lanes)(MOST));
-    const Lanes counted = ((power > 0.0f) & !is_dark) ? bounded : zero;
+    const Lanes counted = counts ? bounded : zero;
     return counted;
 };
 #endif
@@ -107,11 +117,21 @@ auto distant_estimate = [&](int number) -> float {
 // what may be hidden by itself counts, at the top, as the geometric mean of its light and of that with a part of all
 // light added.
 float hidden = 0.0f;  // that part; 0 until `weigh_top`, and where there is nothing to be compared with
+// What `light` counts for, as a part of a group that brings `group`.
+auto weighed = [&](auto light, auto group) {
+#if LOCAL
+    const auto all = most(group, light * 0.0f + LEAST);
+    return light * (root(all + hidden) / root(all));
+#else
+    const float all = wp::max(group, LEAST);
+    return light * (wp::sqrt(all + hidden) / wp::sqrt(all));
+#endif
+};
 #if SUNS || WORLD
-float first_distant = 0.0f;  // estimate of the first distant emitter
+float first_distant[KEPT];  // estimates of the first distant emitters
 auto counted_distant = [&](int number) -> float {
-    const float light = number == 0 ? first_distant : distant_estimate(number);
-    return wp::sqrt(light) * wp::sqrt(light + hidden);
+    const float light = number < KEPT ? first_distant[number] : distant_estimate(number);
+    return weighed(light, light);
 };
 auto all_distant = [&]() {
     float total = 0.0f;
@@ -128,9 +148,11 @@ auto weigh_top = [&](float local) -> float {
 #endif
 #if SUNS || WORLD
     apart += choice_table.distant_count;
-    if (choice_table.distant_count > 0) first_distant = distant_estimate(0);
-    estimated += first_distant;
-    for (int number = 1; number < choice_table.distant_count; ++number) estimated += distant_estimate(number);
+    for (int number = 0; number < choice_table.distant_count; ++number) {
+        const float light = distant_estimate(number);
+        if (number < KEPT) first_distant[number] = light;
+        estimated += light;
+    }
 #endif
     hidden = apart > 1 ? HIDDEN * estimated : 0.0f;
 #if SUNS || WORLD
@@ -159,76 +181,82 @@ auto draws_of = [](float light, float scale) -> int {
 // room for those that get one in spite of less, and for the rounding of sums
 auto scale_of = [](float total, int count) { return static_cast<float>(DRAWS - 4 * count) / total; };
 
+// Where the draws of each node of a block begin, one behind another, then those of what is distant, in the first block,
+// and their end; all 0: nothing shines.
 struct Shares {
-    int draws[WIDTH + 1];  // the last: of what is distant, in the first block
-    int first;             // the first that has any; WIDTH + 1: none
+    int begin[WIDTH + 2];
+    CUDA_CALLABLE int width(int k) const { return begin[k + 1] - begin[k]; }
 };
 auto shares_in = [&](int block) {
     Shares shares;
+    shares.begin[0] = 0;
     float distant = 0.0f, total = 0.0f;
-    int left = DRAWS;
 #if LOCAL && !defined(__CUDA_ARCH__)
+    static_assert(WIDTH == 16, "sums and vectors by halves, down to four");
+    typedef int WideCounts __attribute__((ext_vector_type(WIDTH)));
+    typedef int FewCounts __attribute__((ext_vector_type(4)));
     // sums by halves: the same whatever vectors the processor has, and whether nodes that are not there count as 0
-    static_assert(WIDTH == 16, "halved twice to four");
-    auto sum_of_four = [](auto of) {
+    auto sum_of_four = [](Few of) {
         const auto two = of.lo + of.hi;
         return two.x + two.y;
     };
-    auto sum = [&](auto of) {
+    auto sum = [&](Wide of) {
         const auto eight = of.lo + of.hi;
         return sum_of_four(eight.lo + eight.hi);
     };
-    auto weigh = [&](auto& light, int count, auto sum_of) {
-        typedef decltype(light + light) Lanes;
-        total = distant = weigh_top(sum_of(light));
-        if (hidden == 0.0f) return;
-        Lanes group = light;
-        if (choice_table.group_count < choice_table.top_count) gather_groups(group, count);
-        group = most(group, (Lanes)(LEAST));
-        light = light * (root(group + hidden) / root(group));
+    auto ends_of_four = [](FewCounts of) {
+        of += __builtin_shufflevector(of, (FewCounts)(0), 4, 0, 1, 2);
+        return of + __builtin_shufflevector(of, (FewCounts)(0), 4, 4, 0, 1);
     };
-    auto share = [&](auto light, auto counts, auto sum_of) {
-        typedef decltype(light + light) Lanes;
+    auto ends = [](WideCounts of) {
+        const WideCounts none = (WideCounts)(0);
+        of += __builtin_shufflevector(of, none, 16, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14);
+        of += __builtin_shufflevector(of, none, 16, 16, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13);
+        of += __builtin_shufflevector(of, none, 16, 16, 16, 16, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11);
+        return of + __builtin_shufflevector(of, none, 16, 16, 16, 16, 16, 16, 16, 16, 0, 1, 2, 3, 4, 5, 6, 7);
+    };
+    auto share = [&](auto light, auto counts, auto sum_of, auto ends_of) {
+        constexpr int count = sizeof(light) / sizeof(float);
+#if LINKS
+        for (int k = 0; links && k < count; ++k) {
+            if (!is_linked(choice_table.links.nodes.data[block * WIDTH + k])) light[k] = 0.0f;
+        }
+#endif
+        if (block == 0) {
+            total = distant = weigh_top(sum_of(light));
+            if (hidden > 0.0f) {
+                auto group = light;
+                if (choice_table.group_count < choice_table.top_count) gather_groups(group, count);
+                light = weighed(light, group);
+            }
+        }
         total += sum_of(light);
-        const auto draws =
-            light > 0.0f
-                ? __builtin_convertvector(most(light * scale_of(total, WIDTH + 1), (Lanes)(1.0f)), decltype(counts))
-                : counts;
-        left -= sum_of(draws);
-        __builtin_memcpy(shares.draws, &draws, sizeof(draws));
+        counts = light > 0.0f ? __builtin_convertvector(
+                                    most(light * scale_of(total, WIDTH + 1), light * 0.0f + 1.0f), decltype(counts)
+                                )
+                              : counts;
+        const auto end = ends_of(counts);
+        const int far = draws_of(distant, scale_of(total, WIDTH + 1));
+        const int left = DRAWS - far - end[count - 1];
+        const auto all = end > 0 ? end + left : end;
+        __builtin_memcpy(shares.begin + 1, &all, sizeof(all));
+        for (int k = count; k < WIDTH; ++k) shares.begin[k + 1] = all[count - 1];
+        shares.begin[WIDTH + 1] = far > 0 || end[count - 1] > 0 ? DRAWS : 0;
     };
-    typedef int WideCounts __attribute__((ext_vector_type(WIDTH)));
-    typedef int FewCounts __attribute__((ext_vector_type(4)));
     const float* fields = choice_table.blocks.data + block * (FIELDS * WIDTH);
     Wide powers;
     __builtin_memcpy(&powers, fields + FIELD_POWER * WIDTH, sizeof(powers));
     powers.lo.lo = (Few)(0.0f);
-    if (__builtin_reduce_max(powers) > 0.0f) {
+    if (block != 0 || __builtin_reduce_max(powers) > 0.0f) {
         Wide node[FIELDS];
         __builtin_memcpy(node, fields, sizeof(node));
-        Wide light = node_light(node);
-#if LINKS
-        for (int k = 0; links && k < WIDTH; ++k) {
-            if (!is_linked(choice_table.links.nodes.data[block * WIDTH + k])) light[k] = 0.0f;
-        }
-#endif
-        if (block == 0) weigh(light, WIDTH, sum);
-        share(light, (WideCounts)(0), sum);
+        share(node_light(node), (WideCounts)(0), sum, ends);
     } else {
         Few node[FIELDS];
         for (int field = 0; field < FIELDS; ++field)
             __builtin_memcpy(node + field, fields + field * WIDTH, sizeof(Few));
-        Few light = node_light(node);
-#if LINKS
-        for (int k = 0; links && k < 4; ++k) {
-            if (!is_linked(choice_table.links.nodes.data[block * WIDTH + k])) light[k] = 0.0f;
-        }
-#endif
-        for (int k = 4; k < WIDTH; ++k) shares.draws[k] = 0;
-        if (block == 0) weigh(light, 4, sum_of_four);
-        share(light, (FewCounts)(0), sum_of_four);
+        share(node_light(node), (FewCounts)(0), sum_of_four, ends_of_four);
     }
-    const float scale = scale_of(total, WIDTH + 1);
 #else
     float light[WIDTH];
 #if LOCAL
@@ -250,12 +278,11 @@ auto shares_in = [&](int block) {
             float group[WIDTH];
 #pragma unroll 1
             for (int k = 0; k < WIDTH; ++k) group[k] = light[k];
-            gather_groups(group, WIDTH);
+            if (choice_table.group_count < choice_table.top_count) gather_groups(group, WIDTH);
             total = 0.0f;
 #pragma unroll 1
             for (int k = 0; k < WIDTH; ++k) {
-                const float all = wp::max(group[k], LEAST);
-                light[k] *= wp::sqrt(all + hidden) / wp::sqrt(all);
+                light[k] = weighed(light[k], group[k]);
                 total += light[k];
             }
         }
@@ -266,16 +293,18 @@ auto shares_in = [&](int block) {
     total = distant = weigh_top(0.0f);
 #endif
     const float scale = scale_of(total, WIDTH + 1);
+    int drawn = 0;
 #pragma unroll 1
     for (int k = 0; k < WIDTH; ++k) {
-        shares.draws[k] = draws_of(light[k], scale);
-        left -= shares.draws[k];
+        drawn += draws_of(light[k], scale);
+        shares.begin[k + 1] = drawn;
     }
+    const int far = draws_of(distant, scale), left = DRAWS - far - drawn;
+#pragma unroll 1
+    for (int k = 0; k < WIDTH; ++k) {
+        if (shares.begin[k + 1] > 0) shares.begin[k + 1] += left;
+    }
+    shares.begin[WIDTH + 1] = far > 0 || drawn > 0 ? DRAWS : 0;
 #endif
-    shares.draws[WIDTH] = draws_of(distant, scale);
-    left -= shares.draws[WIDTH];
-    shares.first = 0;
-    while (shares.first <= WIDTH && shares.draws[shares.first] == 0) ++shares.first;
-    if (shares.first <= WIDTH) shares.draws[shares.first] += left;
     return shares;
 };

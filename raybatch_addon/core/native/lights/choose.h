@@ -14,23 +14,31 @@ auto take = [&](int first, int width) {
     probability *= static_cast<float>(width) * UNIT;
 };
 auto choose_one = [&](const Shares& shares) {
-    int before = 0, chosen = shares.first;
-#pragma unroll 1
-    for (int k = 0; k <= WIDTH; ++k) {
-        if (draw >= before && draw < before + shares.draws[k]) {
-            chosen = k;
-            break;
-        }
-        before += shares.draws[k];
-    }
-    take(before, shares.draws[chosen]);
+    int chosen = 0;  // as many as end before the number or at it
+#if defined(__CUDA_ARCH__)
+    while (draw >= shares.begin[chosen + 1]) ++chosen;
+#else
+    typedef int Ends __attribute__((ext_vector_type(WIDTH)));
+    typedef bool Flags __attribute__((ext_vector_type(WIDTH)));
+    Ends ends;
+    __builtin_memcpy(&ends, shares.begin + 1, sizeof(ends));
+    const Flags are_before = __builtin_convertvector(ends <= draw, Flags);
+    unsigned short bits_before;
+    __builtin_memcpy(&bits_before, &are_before, sizeof(bits_before));
+    chosen = __builtin_popcount(bits_before);
+#endif
+    take(shares.begin[chosen], shares.width(chosen));
     return chosen;
 };
 
 int emitter = -1, block = 0;
 while (block >= 0) {
+#if !defined(__CUDA_ARCH__)
+    // else what lies below is waited for after all that is compared
+    __builtin_prefetch(choice_table.below.data + block * WIDTH);
+#endif
     const Shares shares = shares_in(block);
-    if (shares.first > WIDTH) break;  // nothing shines
+    if (shares.begin[WIDTH + 1] == 0) break;  // nothing shines
     const int chosen = choose_one(shares);
 #if SUNS || WORLD
     if (chosen == WIDTH) {

@@ -4,7 +4,7 @@ const int leaf = choice_table.leaf.data[emitter];
 int block = leaf < 0 ? 0 : leaf / WIDTH, place = leaf < 0 ? WIDTH : leaf % WIDTH;
 float probability = 1.0f;
 while (probability > 0.0f) {
-    probability *= static_cast<float>(shares_in(block).draws[place]) * UNIT;
+    probability *= static_cast<float>(shares_in(block).width(place)) * UNIT;
     const int above = choice_table.above.data[block];
     if (above < 0) break;
     block = above / WIDTH;

@@ -41,6 +41,7 @@ _HIDDEN = 0.3
 # Where emitters are compared, none is without a chance: counts stay within these bounds
 _LEAST, _MOST = 1e-30, 1e30
 _DRAWS = 2**24  # what a random number can be
+_KEPT = 4  # distant emitters that are estimated once a choice
 _SIDE_STEPS = wp.constant(32767.0)
 # In place of `packed_side` for a point in a volume, which light reaches from all sides alike
 VOLUME_SIDE = 1 << 31
@@ -148,12 +149,15 @@ def make_light_choice(features: ChoiceFeatures) -> LightChoice:
     if not features.light_choice:
         return LightChoice(_choose_only, _only_pdf)
     local = features.mesh_lights or features.volume_lights or any(kind != LightKind.SUN for kind in lights)
-    return _make_choice(LightKind.SUN in lights, features.world_light, local, features.light_links)
+    directed = features.mesh_lights or any(kind not in (LightKind.SUN, LightKind.POINT) for kind in lights)
+    return _make_choice(LightKind.SUN in lights, features.world_light, local, directed, features.light_links)
 
 
 @functools.cache
-def _make_choice(has_suns: bool, has_world: bool, local: bool, linked: bool) -> LightChoice:
-    """`local`: there are emitters with a place; `linked`: some light some objects alone."""
+def _make_choice(has_suns: bool, has_world: bool, local: bool, directed: bool, linked: bool) -> LightChoice:
+    """`local`: there are emitters with a place; `directed`: some of them shine to one side more than to others;
+    `linked`: some light some objects alone.
+    """
     numbers = dict(
         COSINE_MIN=_COSINE_MIN,
         SPREAD=_SPREAD,
@@ -164,11 +168,10 @@ def _make_choice(has_suns: bool, has_world: bool, local: bool, linked: bool) -> 
         MOST=_MOST,
         UNIT=1 / _DRAWS,
     )
-    kinds = dict(
-        SUNS=has_suns, WORLD=has_world, LOCAL=local, FIELDS=len(FIELDS), WIDTH=BLOCK_WIDTH, DRAWS=_DRAWS, LINKS=linked
-    )
+    kinds = dict(SUNS=has_suns, WORLD=has_world, LOCAL=local, DIRECTED=directed, LINKS=linked)
+    sizes = dict(FIELDS=len(FIELDS), WIDTH=BLOCK_WIDTH, DRAWS=_DRAWS, KEPT=_KEPT)
     fields = {f"FIELD_{name.upper()}": place for place, name in enumerate(FIELDS)}
-    defines = {**numbers, **kinds, **fields}
+    defines = {**numbers, **kinds, **sizes, **fields}
 
     @wp.func_native(native_source("lights/candidates.h", "lights/choose.h", **defines))
     def choose_by(table: LightTable, point: LitPoint, bits: wp.uint32, seed: wp.uint32) -> wp.vec2i: ...

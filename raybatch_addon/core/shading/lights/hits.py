@@ -20,6 +20,7 @@ from .choice import ChoiceFeatures, LitPoint, make_light_choice
 from .lamp_program import make_lamp_emission
 from .lights import light_weights
 from .links import make_counts, make_found_by_sampling
+from .met.boxes import next_met
 from .shapes import LightSample, meet_disk, meet_sphere, meet_sun, spot_factor
 from .table import LightRecord, LightTable
 
@@ -120,10 +121,13 @@ def make_light_hits(features: LightHitFeatures) -> LightHits:
         total = wp.vec3()
         origin = point.position
         if wp.static(met_in_space):
-            if table.tree_count > 0:
-                item = int(0)
-                query = wp.bvh_query_ray(table.tree, origin, direction)
-                while wp.bvh_query_next(query, item, t_max * wp.static(1.0 + 2.0 * ERROR_SHARE_MOST)):
+            if (table.tree_visibility & visibility) != 0:
+                reach = t_max * wp.static(1.0 + 2.0 * ERROR_SHARE_MOST)
+                item = int(-1)
+                while True:
+                    item = next_met(table.tree, origin, direction, reach, item)
+                    if item < 0:
+                        break
                     emitter = table.tree_light[item]
                     light = table.lights[emitter]
                     sampled = bsdf_pdf > 0.0 and found_by_sampling(table, emitter, light.visibility)

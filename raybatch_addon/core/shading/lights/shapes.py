@@ -11,7 +11,17 @@ Area lights are in `area_shapes.py`.
 import warp as wp
 
 from ...float32 import roundoff
-from ..sampling import bitangent_of, cone_pdf, sample_cone, sample_disk, sample_sphere, tangent_of, to_world
+from ..sampling import (
+    bitangent_of,
+    cone_pdf,
+    is_in_cone,
+    sample_cone,
+    sample_cone_around,
+    sample_disk,
+    sample_sphere,
+    tangent_of,
+    to_world,
+)
 from .table import LightRecord
 
 # Programs that give the radiance of a sampled light (`LightSample.program`)
@@ -186,8 +196,7 @@ def meet_disk(light: LightRecord, origin: wp.vec3, direction: wp.vec3) -> LightS
 def sample_sun(light: LightRecord, u: wp.vec2) -> LightSample:
     """A direction within the sun's cone."""
     s = LightSample()
-    axis = -light.axis
-    s.direction = to_world(sample_cone(u, light.one_minus_cos), tangent_of(axis), bitangent_of(axis), axis)
+    s.direction = sample_cone_around(-light.axis, light.one_minus_cos, u)
     s.distance = wp.inf
     s.pdf = cone_pdf(light.one_minus_cos)
     return s
@@ -197,9 +206,7 @@ def sample_sun(light: LightRecord, u: wp.vec2) -> LightSample:
 def meet_sun(light: LightRecord, direction: wp.vec3) -> LightSample:
     """The sun, if `direction` lies within its cone."""
     s = LightSample()
-    # the chord keeps its precision where the cosine is almost 1
-    chord = direction + light.axis
-    if wp.dot(chord, chord) <= 2.0 * light.one_minus_cos:
+    if is_in_cone(direction, -light.axis, light.one_minus_cos):
         s.distance = wp.inf
         s.pdf = cone_pdf(light.one_minus_cos)
     return s

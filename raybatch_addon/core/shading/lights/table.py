@@ -23,6 +23,7 @@ from .emitters import (
     triangle_strengths,
 )
 from .link_table import upload_links
+from .met.boxes import BoxBlock, box_tree
 from .tree.fill import fill_blocks, launch_parts
 from .tree.kernels import EmitterBoxes, EmittingTriangles, LightNode, bound_triangles_kernel
 from .tree.topology import Alike, runs_alike
@@ -82,9 +83,9 @@ class LightTable:
     lights: wp.array(dtype=LightRecord)  # [light_count], and behind them the portals of the world, if it is sampled
     sun_count: int
     suns: wp.array(dtype=int)  # numbers of the suns with a size; [sun_count]
-    tree: wp.uint64  # `wp.Bvh` over the boxes of the lights that rays can meet
-    tree_count: int
-    tree_light: wp.array(dtype=int)  # number of the light of each item of the tree; [tree_count]
+    tree: wp.array(dtype=BoxBlock)  # over the boxes of the lights that rays can meet; no entries where there is none
+    tree_light: wp.array(dtype=int)  # number of the light of each item of the tree
+    tree_visibility: int  # `Visibility` bits that any of them has
     triangle_instance: wp.array(dtype=int)  # [emitter_count - light_count], ascending
     triangle_primitive: wp.array(dtype=int)  # ascending within an instance
     triangle_radiance: wp.array(dtype=wp.vec3)  # [W/(m² sr)]
@@ -102,7 +103,6 @@ class UploadedLights:
 
     table: LightTable
     choice: ChoiceTable
-    tree: wp.Bvh | None
     triangle_count: int  # number of emissive triangles
 
     @property
@@ -162,13 +162,9 @@ def upload_lights(
     strength = strength if cells is None else np.concatenate([strength, cells.strength])
     table.sun_count = len(suns)
     table.suns = upload(suns, int)
-    table.tree_count = len(placed)
-    table.tree_light = upload(placed, int)
-    tree = None
-    if len(placed):
-        low, high = _boxes(records[placed])
-        tree = wp.Bvh(upload(low, wp.vec3), upload(high, wp.vec3))
-        table.tree = tree.id
+    table.tree, order = box_tree(*_boxes(records[placed]), device)
+    table.tree_light = upload(placed[order], int)
+    table.tree_visibility = int(np.bitwise_or.reduce(records["visibility"][placed], initial=0))
     # millions of numbers that nobody writes to: on the CPU they are where they are
     table.triangle_instance = wp.array(triangles.instance, dtype=int, device=device, copy=False)
     table.triangle_primitive = wp.array(triangles.primitive, dtype=int, device=device, copy=False)
@@ -187,7 +183,7 @@ def upload_lights(
     choice = _choice_table(table, records, strength, triangles, scene=scene, geometry=geometry, world=world, keep=keep)
     upload_links(scene, choice, triangles.instance, device)
     table.choice = upload_struct(choice, device)
-    return UploadedLights(table, choice, tree, len(triangles))
+    return UploadedLights(table, choice, len(triangles))
 
 
 def _portals(scene: Scene, world: SampledWorld | None) -> np.ndarray:

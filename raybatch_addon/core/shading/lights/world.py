@@ -13,7 +13,8 @@ import warp as wp
 
 from ...float32 import ONE_BELOW
 from ...scene.description import SkySun
-from .world_sun import SunCone, is_within, sample_sun_cone, solid_angle, sun_cone, sun_cone_pdf, without_sun
+from ..sampling import is_in_cone, sample_cone_around
+from .world_sun import SunCone, solid_angle, sun_cone, sun_cone_pdf, without_sun
 
 # Least light that a texel counts for, as a share of the mean: light that the texels' test points missed is still found
 _FLOOR = 1e-3
@@ -294,14 +295,16 @@ def sample_world(table: WorldTable, u: wp.vec2) -> WorldDirection:
     share = table.sun.share
     result = WorldDirection()
     if u[0] < share:
-        result.direction = sample_sun_cone(table.sun, wp.vec2(wp.min(u[0] / share, ONE_BELOW), u[1]))
+        result.direction = sample_cone_around(
+            table.sun.direction, table.sun.one_minus_cos, wp.vec2(wp.min(u[0] / share, ONE_BELOW), u[1])
+        )
         # within the cone, wherever rounding took it
         result.pdf = sun_cone_pdf(table.sun) + (1.0 - share) * _texels_pdf(table, result.direction)
     else:
         result = _sample_texels(table, wp.vec2(wp.min((u[0] - share) / (1.0 - share), ONE_BELOW), u[1]))
         if share > 0.0:
             result.pdf = (1.0 - share) * result.pdf
-            if is_within(table.sun, result.direction):
+            if is_in_cone(result.direction, table.sun.direction, table.sun.one_minus_cos):
                 result.pdf += sun_cone_pdf(table.sun)
     return result
 
@@ -311,6 +314,6 @@ def world_pdf(table: WorldTable, direction: wp.vec3) -> float:
     """Density with which `sample_world` chooses `direction` [1/sr]."""
     pdf = (1.0 - table.sun.share) * _texels_pdf(table, direction)
     if table.sun.share > 0.0:
-        if is_within(table.sun, direction):
+        if is_in_cone(direction, table.sun.direction, table.sun.one_minus_cos):
             pdf += sun_cone_pdf(table.sun)
     return pdf

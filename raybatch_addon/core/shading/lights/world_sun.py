@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 
 from ...scene.description import SkySun
-from ..sampling import bitangent_of, cone_pdf, sample_cone, tangent_of, to_world
+from ..sampling import cone_pdf
 
 # The cone is wider than the sun, so that no direction which shows it is outside after rounding
 _WIDER = 1.001
@@ -88,21 +88,6 @@ def _radius(sun: SkySun) -> float:
 def _unit(sun: SkySun) -> np.ndarray:
     direction = np.array(sun.direction, float)
     return direction / np.linalg.norm(direction)
-
-
-@wp.func
-def sample_sun_cone(sun: SunCone, u: wp.vec2) -> wp.vec3:
-    """A direction within the cone, uniform by solid angle."""
-    local = sample_cone(u, sun.one_minus_cos)
-    return to_world(local, tangent_of(sun.direction), bitangent_of(sun.direction), sun.direction)
-
-
-@wp.func
-def is_within(sun: SunCone, direction: wp.vec3) -> bool:
-    """Whether the cone has a direction."""
-    # the chord keeps its precision where the cosine is almost 1
-    chord = direction - sun.direction
-    return wp.dot(chord, chord) <= 2.0 * sun.one_minus_cos
 
 
 @wp.func

@@ -191,7 +191,7 @@ class DeviceScene:
         """Memory on the device of what a `SceneCache` does not keep for the next scene [bytes]."""
         data, volumes = self.data, self.volumes
         lights, images = self.lights, self.images
-        whole = [data, self.camera, self.pass_inputs, self.stored, images.table, lights.choice, lights.tree]
+        whole = [data, self.camera, self.pass_inputs, self.stored, images.table, lights.choice]
         kept = [data.geometry, data.nodes.inputs, data.lights.world, choice_tree(lights.choice), images.keep]
         if volumes:
             whole += [volumes.data, volumes.stored, volumes.surfaces]

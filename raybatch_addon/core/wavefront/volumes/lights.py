@@ -15,6 +15,7 @@ from ...shading.lights.hits import LightHitFeatures, make_light_hits
 from ...shading.lights.lamp_program import make_lamp_emission
 from ...shading.lights.lights import light_weights
 from ...shading.lights.links import make_counts, make_found_by_sampling
+from ...shading.lights.met.boxes import next_met
 from ...shading.lights.table import LightTable
 from ...shading.sequences.keys import mix_bits
 from .features import VolumeFeatures
@@ -54,13 +55,16 @@ def make_lights_ahead(features: VolumeFeatures) -> wp.Function:
     def lights_ahead(volumes: VolumeData, table: LightTable, nodes: NodeData, point: LitPoint, way: Way) -> wp.vec3:
         total = wp.vec3()
         if wp.static(is_met):
-            if table.tree_count > 0:
+            if (table.tree_visibility & way.begin.ray_kind) != 0:
                 direction = -way.begin.incoming
                 origin = point.position
                 t_max = way.before + way.length
-                item = int(0)
-                query = wp.bvh_query_ray(table.tree, origin, direction)
-                while wp.bvh_query_next(query, item, t_max * wp.static(1.0 + 2.0 * ERROR_SHARE_MOST)):
+                reach = t_max * wp.static(1.0 + 2.0 * ERROR_SHARE_MOST)
+                item = int(-1)
+                while True:
+                    item = next_met(table.tree, origin, direction, reach, item)
+                    if item < 0:
+                        break
                     emitter = table.tree_light[item]
                     light = table.lights[emitter]
                     sampled = way.bsdf_pdf > 0.0 and found_by_sampling(table, emitter, light.visibility)

@@ -61,14 +61,16 @@ def spheres(*nodes):
 
 def test_nodes_that_are_near_each_other_are_a_group():
     alone, chain = (-10, 0.1, 1.0), [(each, 0.45, 1e-3) for each in range(5)]
-    groups = top_groups(spheres(alone, *chain))
+    groups, there = top_groups(spheres(alone, *chain))
+    assert there.tolist() == [*range(6)]
     assert groups.tolist() == [0, 1, 1, 1, 1, 1, *range(6, BLOCK_WIDTH)]
     # what has no power joins nothing
-    assert top_groups(spheres(alone, (0, 0.1, 1.0), (-5, 6.0, 0.0), (-9.5, 0.1, 2.0))).tolist()[:4] == [0, 1, 2, 0]
+    groups, there = top_groups(spheres(alone, (0, 0.1, 1.0), (-5, 6.0, 0.0), (-9.5, 0.1, 2.0)))
+    assert groups.tolist()[:4] == [0, 1, 2, 0] and there.tolist() == [0, 1, 3]
     # as near, but there is nothing farther away
-    assert top_groups(spheres(*chain)).tolist()[:5] == [0] * 5
-    assert top_groups(spheres((0, 0, 1), (0.1, 0, 1))).tolist()[:2] == [0, 1]
-    assert top_groups(spheres()).tolist() == [*range(BLOCK_WIDTH)]
+    assert top_groups(spheres(*chain))[0].tolist()[:5] == [0] * 5
+    assert top_groups(spheres((0, 0, 1), (0.1, 0, 1)))[0].tolist()[:2] == [0, 1]
+    assert top_groups(spheres())[0].tolist() == [*range(BLOCK_WIDTH)]
 
 
 def counted(light):

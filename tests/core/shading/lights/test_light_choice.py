@@ -32,9 +32,12 @@ class Chosen:
     again: wp.array(dtype=float)
 
 
+ALL = ChoiceFeatures(KINDS, True, True, True)
+
+
 @functools.cache
-def choice_kernel():
-    choose, pdf = make_light_choice(ChoiceFeatures(KINDS, True, True, True))
+def choice_kernel(features: ChoiceFeatures = ALL):
+    choose, pdf = make_light_choice(features)
 
     @wp.kernel(**KERNEL_OPTIONS)
     def choose_many(table: LightTable, position: wp.vec3, side: wp.uint32, seed: int, chosen: Chosen):
@@ -118,8 +121,8 @@ def uploaded(lights, triangle_count=0, world=False, copies=0):
     return upload_lights(scene, device, world=world_of(device) if world else None, geometry=geometry), geometry
 
 
-def chosen_from(lights, position, normal, both_sides=False, count=COUNT):
-    choose_many, pdf_of_all = choice_kernel()
+def chosen_from(lights, position, normal, both_sides=False, count=COUNT, features=ALL):
+    choose_many, pdf_of_all = choice_kernel(features)
     table = lights.table
     side = packed(normal, both_sides)
     chosen = Chosen()
@@ -198,6 +201,19 @@ def test_emitters_are_chosen_as_often_as_is_said(case):
         count = np.bincount(emitter[found], minlength=len(of_all))
         error = np.sqrt(np.maximum(of_all * COUNT, 1))
         assert (np.abs(count - of_all * COUNT) < 5.5 * error + 1).all()
+
+
+@pytest.mark.parametrize("count", [5, 300])
+def test_code_for_lamps_without_direction_chooses_as_that_for_all_kinds(count):
+    rng = np.random.default_rng(count)
+    places = [facing(place, (0, 0, -1)) for place in rng.normal(size=(count, 3)) * 3]
+    lights, _ = uploaded([Light("lamp", LightKind.POINT, place, (rng.random() + 0.1,) * 3) for place in places])
+    few = ChoiceFeatures((LightKind.POINT,), True, False, False)
+    for point in POINTS:
+        found, expected = (chosen_from(lights, *point, count=4096, features=each) for each in (few, ALL))
+        assert (found[0] >= 0).all()
+        for one, other in zip(found, expected, strict=True):
+            np.testing.assert_array_equal(one, other)
 
 
 @functools.cache

@@ -339,7 +339,7 @@ def test_specialisation_leaves_the_rest_out():
     np.testing.assert_array_equal(few.radiance, full.radiance)
     assert make_lights(features) is make_lights(LightFeatures(lights=(LightKind.POINT,)))
     few, full = generated_code(features), generated_code(ALL)
-    for name in ("sample_area_light", "meet_sphere", "sample_sun", "find_triangle", "bvh_query_ray"):
+    for name in ("sample_area_light", "meet_sphere", "sample_sun", "find_triangle", "next_met"):
         assert name in full and name not in few
 
 

@@ -153,15 +153,14 @@ def _allocate(choice: ChoiceTable, block_count: int, device: wp.Device) -> None:
 def _group(choice: ChoiceTable) -> None:
     """Find the groups of the topmost nodes of `choice`, whose blocks are filled in."""
     top = choice.blocks[: BLOCK_WIDTH * len(FIELDS)].numpy()
-    groups = top_groups(top)
-    there = top.reshape(len(FIELDS), BLOCK_WIDTH)[FIELDS.index("power")] > 0
+    groups, there = top_groups(top)
     choice.hidden_with = wp.array(groups, dtype=int, device=choice.blocks.device)
-    choice.group_count, choice.top_count = len(np.unique(groups[there])), int(there.sum())
+    choice.group_count, choice.top_count = len(np.unique(groups[there])), len(there)
 
 
-def top_groups(fields: np.ndarray) -> np.ndarray:
+def top_groups(fields: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The groups of nodes of the topmost block that are near each other, or near to what is: the first node of each
-    one's group, int32, shape [BLOCK_WIDTH].
+    one's group, int32, shape [BLOCK_WIDTH]; and which nodes there are, int, shape [n].
 
     `fields`: the block's part of `ChoiceTable.blocks`, float32, shape [FIELDS * BLOCK_WIDTH].
     """
@@ -177,4 +176,4 @@ def top_groups(fields: np.ndarray) -> np.ndarray:
     group = np.arange(BLOCK_WIDTH, dtype=np.int32)
     if len(there):
         group[there] = there[near.argmax(1)]
-    return group
+    return group, there

@@ -1,0 +1,1 @@
+"""Which lights without mesh a ray meets."""
