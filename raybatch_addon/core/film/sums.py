@@ -22,6 +22,8 @@ WIDE_DIGITS = 10
 # The window is the wide digits 2 to 5.
 WINDOW_FIRST = 2
 WINDOW_DIGITS = 4
+# The highest `window_place` of a significand, of 24 bits, that ends within it
+PLACE_MOST = wp.constant(32 * WINDOW_DIGITS - 24)
 
 
 @wp.func
@@ -36,15 +38,45 @@ def digit_unit(k: int) -> wp.float64:
 
 
 @wp.func
+def window_place(value: float) -> int:
+    """Where the lowest bit of a float32's significand lies in the window, whose own is 0; below 0 or above
+    `PLACE_MOST`: part of it may lie outside.
+    """
+    return int((wp.cast(value, wp.uint32) >> wp.uint32(23)) & wp.uint32(255)) - 54
+
+
+@wp.func
+def fits_window(value: float) -> bool:
+    """Whether the window's digits can hold `value` (`add_window`)."""
+    place = window_place(value)
+    if place >= 0 and place <= PLACE_MOST:
+        return True
+    scaled = wp.float64(value) * wp.float64(79228162514264337593543950336.0)  # 2^96
+    return wp.abs(value) < 4294967296.0 and wp.trunc(scaled) == scaled
+
+
+@wp.func
 def add_window(digits: wp.array2d(dtype=wp.int64), index: int, value: float) -> bool:
     """Add `value` to the window digits of `index`; False, and nothing added, when it does not fit."""
-    x = wp.float64(value)
-    if wp.abs(x) >= wp.float64(4294967296.0):
+    if value == 0.0:
+        return True
+    place = window_place(value)
+    if place >= 0 and place <= PLACE_MOST:
+        bits = wp.cast(value, wp.uint32)
+        significand = wp.int64((bits & wp.uint32(0x7FFFFF)) | wp.uint32(0x800000)) << wp.int64(place & 31)
+        low = significand & wp.int64(0xFFFFFFFF)
+        high = significand >> wp.int64(32)
+        if value < 0.0:
+            low = -low
+            high = -high
+        k = place >> 5
+        wp.atomic_add(digits, k, index, low)
+        if high != wp.int64(0):
+            wp.atomic_add(digits, k + 1, index, high)
+        return True
+    if not fits_window(value):
         return False
-    # float32 has 24 significant bits, so each step below is exact in float64
-    rest = x * wp.float64(79228162514264337593543950336.0)  # 2^96
-    if wp.trunc(rest) != rest:
-        return False
+    x = wp.float64(value)  # has 24 significant bits, so each step below is exact
     for i in range(wp.static(WINDOW_DIGITS)):
         digit = wp.trunc(x)
         if digit != wp.float64(0.0):

@@ -21,13 +21,6 @@ from .rounding import rounded_sum
 from .sums import WIDE_DIGITS, WINDOW_DIGITS, ExactSums, add_wide, no_wide
 
 
-@wp.func
-def fits_window(value: float) -> bool:
-    """Whether the window's digits can hold `value` (`add_window`)."""
-    scaled = wp.float64(value) * wp.float64(79228162514264337593543950336.0)  # 2^96
-    return wp.abs(value) < 4294967296.0 and wp.trunc(scaled) == scaled
-
-
 @wp.struct
 class FilmTile:
     """Sums and counts of one tile."""

@@ -129,24 +129,29 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
     ) -> BsdfSample:
         result = BsdfSample()
 
-        # one pass over the closures; u_lobe is stretched after each decision, and so serves them all
+        # Each closure has one interval of `u_lobe`, in their order. The rest of the number decides in the closure,
+        # counted from the end of [0, 1) where the interval has one: so what is rare there lies at that end, and the
+        # evenly spaced numbers of each pixel find it equally often.
         total = float(0.0)
+        for c in range(end - first):
+            total += wp.max(lobes[c].selection, 0.0)
         chosen = int(-1)
-        left = float(u_lobe)
-        lobe = Lobe()
+        start = float(0.0)
+        below = float(0.0)
         for c in range(first, end):
-            candidate = lobes[c - first]
-            if candidate.selection > 0.0:
-                total += candidate.selection
-                p = candidate.selection / total
-                if left < p:
-                    left = wp.min(left / p, ONE_BELOW)
+            selection = lobes[c - first].selection
+            if selection > 0.0:
+                if chosen < 0 or u_lobe * total >= below:
                     chosen = int(c)
-                    lobe = candidate
-                else:
-                    left = wp.min((left - p) / (1.0 - p), ONE_BELOW)
+                    start = below
+                below += selection
         if chosen < 0:
             return result
+        lobe = lobes[chosen - first]
+        left = (u_lobe * total - start) / lobe.selection
+        if start > 0.0:
+            left = 1.0 - left
+        left = wp.clamp(left, 0.0, ONE_BELOW)
 
         kind = closures[chosen].kind
         n = lobe.normal

@@ -16,8 +16,13 @@ from ...shading.lights.table import LightTable
 from ...shading.lights.world_sun import directions_within
 from ..scene.shading_data import SceneData
 from .kernels import estimate_kernel
+from .triangles import POINTS
 from .work import Estimate, EstimateWork
 
+# Directions in which all points of a triangle are looked at; runs of programs for all triangles together, about: in
+# fewer directions than a triangle has points a point each is looked at
+_DIRECTIONS_MOST = 256
+_TRIANGLE_RUNS = 2**17
 # Points of a texel of the world, along either axis, whose mean is its brightness where that differs from the texels
 # around it by more than a share of itself, or of all texels' mean if that is larger; elsewhere, and where texels are as
 # many as an image's, one. What is smaller than a texel and lies between such points stays unseen.
@@ -35,7 +40,8 @@ _UNSEEN = 0.01
 def emission_of_triangles(
     data: SceneData, features: SceneFeatures, device: wp.Device, instance: np.ndarray, primitive: np.ndarray
 ) -> np.ndarray:
-    """Mean radiance of triangles whose material is a program, float32, shape [n, 3]."""
+    """Radiance that triangles count for whose material is a program, float32, shape [n, 3] (`triangles.py`)."""
+    directions = min(_DIRECTIONS_MOST, _TRIANGLE_RUNS // (2 * POINTS * max(len(instance), 1)))
     radiance = wp.zeros(len(instance), dtype=wp.vec3, device=device)
     instance, primitive = (wp.array(each, dtype=int, device=device) for each in (instance, primitive))
 
@@ -43,6 +49,7 @@ def emission_of_triangles(
         work = EstimateWork()
         work.instance, work.primitive = instance[first:end], primitive[first:end]
         work.radiance = radiance[first:end]
+        work.points, work.every_point = max(directions, POINTS), int(directions >= POINTS)
         return work, end - first
 
     _launch_in_parts(Estimate.TRIANGLES, data, features, device, len(instance), work_of)

@@ -25,7 +25,8 @@ class EstimateWork:
     """Items of one estimate; arrays of the others are empty."""
 
     estimate: int
-    points: int  # of each lamp; of each texel along either axis
+    points: int  # of each lamp; of each texel along either axis; directions of each triangle
+    every_point: int  # 1: all points of a triangle are seen in each direction
     instance: wp.array(dtype=int)  # of each triangle
     primitive: wp.array(dtype=int)
     radiance: wp.array(dtype=wp.vec3)  # result of each triangle [W/(m² sr)]

@@ -8,8 +8,8 @@ import warp as wp
 
 from ...device.kernel import KERNEL_OPTIONS
 from ...film import ChannelLayout
-from ...film.sums import add_wide, add_window
-from ...film.tile import FilmTile, fits_window
+from ...film.sums import add_wide, add_window, fits_window
+from ...film.tile import FilmTile
 from ..rays import Paths
 from .generate import pixel_sample
 from .work import TileWork
@@ -43,6 +43,21 @@ def _accumulate_kernel(layout: ChannelLayout) -> wp.Kernel:
             for c in range(values.shape[0]):
                 fits_all = fits_all and fits_window(values[c, path])
         return fits_all
+
+    @wp.func
+    def is_finite(paths: Paths, path: int) -> bool:
+        radiance = paths.radiance[path]
+        valid = wp.isfinite(radiance[0]) and wp.isfinite(radiance[1]) and wp.isfinite(radiance[2])
+        if wp.static(layout.transparent):
+            valid = valid and wp.isfinite(paths.alpha[path])
+        if wp.static(layout.normal):
+            normal = paths.normal[path]
+            valid = valid and wp.isfinite(normal[0]) and wp.isfinite(normal[1]) and wp.isfinite(normal[2])
+        if wp.static(has_others):
+            values = paths.passes[0].values
+            for c in range(values.shape[0]):
+                valid = valid and wp.isfinite(values[c, path])
+        return valid
 
     @wp.func
     def spill_entries(film: FilmTile, channels: int) -> int:
@@ -80,29 +95,20 @@ def _accumulate_kernel(layout: ChannelLayout) -> wp.Kernel:
         channels = others_first
         if wp.static(has_others):
             channels = others_first + paths.passes[0].values.shape[0]
-        radiance = paths.radiance[path]
-        valid = wp.isfinite(radiance[0]) and wp.isfinite(radiance[1]) and wp.isfinite(radiance[2])
-        if wp.static(layout.transparent):
-            valid = valid and wp.isfinite(paths.alpha[path])
-        if wp.static(layout.normal):
-            normal = paths.normal[path]
-            valid = valid and wp.isfinite(normal[0]) and wp.isfinite(normal[1]) and wp.isfinite(normal[2])
-        if wp.static(has_others):
-            values = paths.passes[0].values
-            for c in range(values.shape[0]):
-                valid = valid and wp.isfinite(values[c, path])
-        if valid:
+        kept = fits(paths, path)
+        if kept or is_finite(paths, path):
             entry = -channels  # below 0 for all channels: nothing is set aside
-            if film.wide.shape[0] == 0:
-                if not fits(paths, path):
-                    entry = spill_entries(film, channels)
-                    if entry < 0:
-                        return
+            if not kept and film.wide.shape[0] == 0:
+                entry = spill_entries(film, channels)
+                if entry < 0:
+                    return
+            radiance = paths.radiance[path]
             for c in range(3):
                 add(film, pixel * channels + c, radiance[c], entry + c)
             if wp.static(layout.transparent):
                 add(film, pixel * channels + 3, paths.alpha[path], entry + 3)
             if wp.static(layout.normal):
+                normal = paths.normal[path]
                 for c in range(3):
                     channel = normal_first + c
                     add(film, pixel * channels + channel, normal[c], entry + channel)

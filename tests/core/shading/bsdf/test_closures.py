@@ -278,6 +278,27 @@ def test_smooth_glass_obeys_fresnel_and_snell(entering):
         assert np.all(value == 0) and np.all(density == 0)
 
 
+@pytest.mark.parametrize("entering", [1, 0])
+def test_a_lobe_has_one_interval_of_the_random_number_and_what_is_rare_an_end_of_all(entering):
+    """So evenly spaced numbers find each lobe as often as they can, whatever number they begin with."""
+    glass, clear = Closure(K.GLASS, WHITE, 0.0, 1.5), Closure(K.TRANSPARENT, (0.8, 0.8, 0.8))
+    count, wo = 2**12, toward(0.8)
+    u = np.full((count, 3), 0.25, np.float32)
+    u[:, 0] = (np.arange(count) + 0.5) / count
+    share = float(fresnel(0.8, 1.5 if entering else 1 / 1.5))
+    for closures, end in (([glass, clear], 0), ([clear, glass], 1)):
+        _, _, _, lobe = sample(closures, wo, count, frame_of(entering=entering), u=u)
+        mirrored = np.flatnonzero(lobe == (GLOSSY | DELTA))
+        assert len(mirrored) == pytest.approx(share / 1.8 * count, abs=2)
+        assert np.ptp(mirrored) == len(mirrored) - 1
+        assert (mirrored[0] == 0) if end == 0 else (mirrored[-1] == count - 1)
+    metal, matt = Closure(K.METAL, WHITE, SMOOTH, edge=WHITE), Closure(K.DIFFUSE, WHITE)
+    _, _, _, lobe = sample([matt, clear, metal, glass], wo, count, frame_of(entering=entering), u=u)
+    first = [np.flatnonzero(lobe == each)[0] for each in (DIFFUSE, TRANSPARENT | DELTA, GLOSSY | DELTA)]
+    assert (np.diff(lobe) != 0).sum() == 4  # the last are mirrored by the glass
+    np.testing.assert_allclose(first, np.array([0, 1, 1.8]) / 3.8 * count, atol=2)
+
+
 def test_smooth_metal_and_coat():
     """A delta lobe's weight is its Fresnel factor."""
     wo = toward(0.3)
