@@ -17,6 +17,7 @@ from ..motion.placed import PlacedMotion
 
 if TYPE_CHECKING:
     import bpy
+    import mathutils
 
 # A matrix composed in float32 from a few products has elements wrong by about this much, relatively
 _MATRIX_ERROR = 8 * 2.0**-24
@@ -128,6 +129,14 @@ class Placements:
         for i, index, value in self.of_instancer:
             values[i, index] = value
         return values[usable]
+
+
+def row_bytes(matrix: mathutils.Matrix) -> bytes:
+    """The numbers of `matrix`, row by row: float32."""
+    try:
+        return memoryview(matrix).tobytes()
+    except TypeError:  # Blender before 5.1 gives no view of them
+        return np.array(matrix, np.float32).tobytes()
 
 
 def is_singular(transform: np.ndarray) -> np.ndarray:
