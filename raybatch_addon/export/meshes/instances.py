@@ -9,9 +9,8 @@ from operator import attrgetter
 from typing import TypeAlias
 
 import bpy
-import numpy as np
 
-from ...core.scene.description import COPY_SET, Light, Visibility
+from ...core.scene.description import COPY_SET, Visibility
 from ...core.scene.linking import catcher_bits, shadow_bit
 from ...core.scene.notice import Notice, Weight
 from ..curves.placing import CurveData, StrandMeshes
@@ -21,7 +20,7 @@ from ..lights import LampGraphs, export_light, is_portal
 from ..motion.objects import PlacedMotions
 from ..nodes.collections import OF_INSTANCER
 from ..settings import output_engine
-from .attributes import object_value
+from .attributes import object_value, position_on_surface
 from .holdouts import is_holdout, with_hole
 from .kept_meshes import MeshSource
 from .live_meshes import LiveMeshes, LiveSource
@@ -46,25 +45,8 @@ class Cancelled(Exception):
     """Raised when the caller of the export asks it to stop."""
 
 
-def _with_attributes(light: Light, values: tuple[tuple[int, tuple[float, ...]], ...], placements: Placements) -> Light:
-    """`light` with the values of its object's attributes, by their indices among all."""
-    if not values:
-        return light
-    attributes = np.zeros((len(placements.materials.collections.object_attributes), 4), np.float32)
-    for index, value in values:
-        attributes[index] = value
-    return replace(light, attributes=attributes)
-
-
 def _named(names: list[str]) -> str:
     return ", ".join(f"“{name}”" for name in dict.fromkeys(names))
-
-
-def _position_on_surface(placed: _Placed, name: str) -> tuple[float, ...]:
-    """Position of an instance on the surface that places it: its generated coordinates as in Cycles, or its `uv`."""
-    if name == "uv":
-        return (*placed.uv, 0.0, 1.0)
-    return (*(0.5 * x - 0.5 for x in placed.orco), 1.0)
 
 
 def collect_placements(
@@ -100,6 +82,8 @@ class PlacementCollector:
         # what is placed, and the part of `Placements.info` that is the object's: the mesh as all rays see it, and what
         # the camera sees of a holdout object
         self._placed: dict[Hashable, tuple[list[Template], tuple[float, ...]]] = {}
+        # of what one object placed in a row: keys of `_placed`, by addresses of the original and of its data
+        self._parent, self._of_parent = 0, dict[tuple[int, int], Hashable]()
         self._meshes: dict[Hashable, int | None] = {}
         self._attributes_seen: dict[Hashable, set[tuple[str, str]]] = {}  # attributes read, by mesh
         self._object_index: dict[str, int] = {}
@@ -140,8 +124,17 @@ class PlacementCollector:
         """Take one item of the depsgraph's list."""
         self._item += 1
         obj, parent = placed.object, placed.parent
-        kind, data, original = obj.type, obj.data, obj.original
+        data, original = obj.data, obj.original
         address = original.as_pointer()
+        again = None
+        if parent is not None and data is not None and self._live is None:
+            owner, again = parent.as_pointer(), (address, data.as_pointer())
+            if owner != self._parent:
+                self._parent, self._of_parent = owner, {}
+            elif again in self._of_parent:
+                self._place(placed, obj, self._of_parent[again])
+                return
+        kind = obj.type
         if self._live is not None:
             if not self._live.shows(placed):
                 return
@@ -156,9 +149,9 @@ class PlacementCollector:
         if kind == "LIGHT":
             self._add_light(placed, obj)
             return
-        if self._use_hair and placed.show_particles:
-            for modifier in hair_systems(obj, self.viewport):
-                self._add_strands(placed, obj, modifier, cancelled)
+        hair = hair_systems(obj, self.viewport) if self._use_hair and placed.show_particles else []
+        for modifier in hair:
+            self._add_strands(placed, obj, modifier, cancelled)
         if isinstance(data, (bpy.types.Curves, bpy.types.PointCloud)):
             if placed.show_self and (self._use_hair or isinstance(data, bpy.types.PointCloud)):
                 self._add_strands(placed, obj, data, cancelled)
@@ -175,6 +168,8 @@ class PlacementCollector:
             wanted = self.materials_of(obj, data)
             self._keep(key, placed, obj, wanted, functools.partial(self._mesh, obj, data))
         self._place(placed, obj, key)
+        if again is not None and not hair:
+            self._of_parent[again] = key
 
     def _add_strands(self, placed: _Placed, obj: _Object, data: CurveData, cancelled: Callable[[], bool]) -> None:
         """Curves, points, or the hair of the modifier `data`."""
@@ -203,7 +198,7 @@ class PlacementCollector:
             if template.of_instancer and placed.is_instance:
                 instance = len(placements.templates)
                 for index, name in template.of_instancer:
-                    placements.of_instancer.append((instance, index, _position_on_surface(placed, name)))
+                    placements.of_instancer.append((instance, index, position_on_surface(placed, name)))
             placements.templates.append(template)
             placements.matrices.frombytes(row_bytes(placed.matrix_world))
             if self._motions:
@@ -214,7 +209,7 @@ class PlacementCollector:
         """All placements, with the warnings that need the whole list."""
         placements = self.placements
         placements.lights = [
-            _with_attributes(light, values, placements) for light, values in zip(placements.lights, self._light_values)
+            placements.with_attributes(light, values) for light, values in zip(placements.lights, self._light_values)
         ]
         if not placements.catches:
             placements.lights = [

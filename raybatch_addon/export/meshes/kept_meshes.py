@@ -58,6 +58,7 @@ class _Kept:
 
     def __init__(self, mesh: Mesh) -> None:
         self.mesh = replace(mesh, corner_uvs=None)  # without attributes
+        self._mesh_bytes = sum(array.nbytes for array in mesh_arrays(self.mesh))
         self.used = self.made = _export_count  # numbers of the exports that last used it and that made it
         self._now: dict[tuple, Attribute] = {}
         self._before: dict[tuple, Attribute] = {}
@@ -66,7 +67,7 @@ class _Kept:
     def bytes(self) -> int:
         """Memory that it takes on the host [bytes]."""
         more = {id(each): each.values.nbytes for each in (*self._now.values(), *self._before.values())}
-        return sum(array.nbytes for array in mesh_arrays(self.mesh)) + sum(more.values())
+        return self._mesh_bytes + sum(more.values())
 
     def use(self) -> None:
         """The present export uses it."""
@@ -105,8 +106,8 @@ def _is_alike(values: np.ndarray, others: np.ndarray) -> bool:
     if values.dtype.kind != "f":
         return np.array_equal(values, others)
     with np.errstate(invalid="ignore"):
-        apart = np.abs(values - others) <= _ROUNDING * np.abs(values)
-    return bool((apart | (values == others)).all())
+        near = np.isfinite(values) & (np.abs(values - others) <= _ROUNDING * np.abs(values))
+    return bool((near | (values == others)).all())
 
 
 _kept: dict[bytes, _Kept] = {}  # by digest of the shape
@@ -147,11 +148,13 @@ def end_export() -> None:
     for digest in [digest for digest, each in _kept.items() if each.used <= _export_count - _EXPORTS_KEPT]:
         del _kept[digest]
     sizes = {digest: each.bytes for digest, each in _kept.items()}
-    room = _MEMORY_SHARE * (min(host_memory_free(), _FREE_MOST) + sum(sizes.values()))
+    taken = sum(sizes.values())
+    room = _MEMORY_SHARE * (min(host_memory_free(), _FREE_MOST) + taken)
     for digest in sorted(sizes, key=lambda each: _kept[each].used):
-        if sum(sizes.values()) <= room:
+        if taken <= room:
             break
-        del _kept[digest], sizes[digest]
+        taken -= sizes[digest]
+        del _kept[digest]
     for place in [place for place, digest in _last.items() if digest not in _kept]:
         del _last[place]
     _export_count += 1

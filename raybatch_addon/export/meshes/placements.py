@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -112,6 +112,15 @@ class Placements:
             links=links,
             light_group=groups,
         )
+
+    def with_attributes(self, light: Light, values: tuple[tuple[int, tuple[float, ...]], ...]) -> Light:
+        """`light` with the values of its object's attributes, by their indices among all."""
+        if not values:
+            return light
+        attributes = np.zeros((len(self.materials.collections.object_attributes), 4), np.float32)
+        for index, value in values:
+            attributes[index] = value
+        return replace(light, attributes=attributes)
 
     def map_rows(self) -> np.ndarray:
         """Object to world of all placements, row by row: float32, shape [n, 16]."""

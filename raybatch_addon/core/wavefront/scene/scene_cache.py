@@ -41,7 +41,7 @@ from ..plan.plan import Method, TracingPlan, cut_rule
 from ..volumes.upload import VolumeCache
 from .fingerprint import Fingerprint
 from .moved_instances import Placed, follow_moved
-from .unchanged import Last
+from .unchanged import Last, LastSmall
 from .world_cache import WorldCache
 
 # Share of a device's free memory that images may take: geometry, rays and the film need the rest
@@ -137,7 +137,7 @@ class SceneCache:
         self.world = WorldCache()
         self.volumes = VolumeCache()
         self.inputs: Last[InputData] = Last()  # what programs of surfaces read of the scene
-        self.emissive: Last[EmissiveTriangles] = Last()
+        self.emissive: LastSmall[EmissiveTriangles] = LastSmall(lambda made: made.bytes)
         self.light_tree: Last[ChoiceTable] = Last()
         self._displaced = DisplacedMeshes()
         self._last: Kept | None = None
