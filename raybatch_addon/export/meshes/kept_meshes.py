@@ -19,7 +19,7 @@ from ...core.device.devices import host_memory_free
 from ...core.scene.description import Attribute, Mesh
 from ...core.scene.frozen import freeze
 from .attributes import ATTRIBUTE_TYPES, mesh_attributes
-from .mesh_arrays import MeshArrays, read
+from .mesh_arrays import MeshArrays
 from .meshes import export_mesh
 
 # A mesh that this many exports have not used is dropped
@@ -301,6 +301,7 @@ def _digest(mesh: bpy.types.Mesh, layer, wanted: Collection[str] | None = None) 
 
 def _add(digest, collection, attribute: str, dtype, width: int) -> None:
     count = len(collection)
-    values = read(collection, attribute, dtype, count, width)
+    values = np.empty(count * width, dtype)
+    collection.foreach_get(attribute, values)
     digest.update(b"%d %d" % (count, width))
     digest.update(values)

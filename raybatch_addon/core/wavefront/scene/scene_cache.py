@@ -138,7 +138,7 @@ class SceneCache:
         self.volumes = VolumeCache()
         self.inputs: Last[InputData] = Last()  # what programs of surfaces read of the scene
         self.emissive: LastSmall[EmissiveTriangles] = LastSmall(lambda made: made.bytes)
-        self.light_tree: Last[ChoiceTable] = Last()
+        self.light_tree: LastSmall[ChoiceTable] = LastSmall(choice_tree_bytes)
         self._displaced = DisplacedMeshes()
         self._last: Kept | None = None
         self._lock = threading.Lock()  # the build of a cancelled render may still be going on
@@ -159,11 +159,11 @@ class SceneCache:
         """Memory that the last frame's trees, its programs' inputs and its volumes hold on the device, and the next
         one's may have [bytes].
         """
-        last, inputs, tree = self._last, self.inputs.made, self.light_tree.made
+        last, inputs = self._last, self.inputs.made
         kept = (
             last.device_bytes if last else 0,
             bytes_of(inputs) if inputs else 0,
-            choice_tree_bytes(tree) if tree else 0,
+            self.light_tree.bytes,
             self.volumes.device_bytes,
         )
         return sum(kept)

@@ -47,6 +47,11 @@ class LastSmall(Generic[Made]):
         """What was used last."""
         return self._kept[-1][1] if self._kept else None
 
+    @property
+    def bytes(self) -> int:
+        """Memory that all of them take [bytes]."""
+        return sum(self._size(each[1]) for each in self._kept)
+
     def drop_large(self) -> None:
         """Forget what is large."""
         self._kept = [each for each in self._kept if self._size(each[1]) <= _SMALL]
