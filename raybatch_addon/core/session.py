@@ -207,11 +207,13 @@ class Session:
         was_cancelled = displaced is None
         checked = prepared_scene(whole if displaced is None else displaced, settings)
         check_samples(settings, sample_first)
-        size = GeometrySize.of(checked)
+        derived = self._kept.derived if not was_cancelled else lambda _name, _settings, make: make()
+        size = derived("size", settings, lambda: GeometrySize.of(checked))
         free = self._cache.free_for_geometry(checked.images, self.device)
         memory = Memory(size.needed(self.layout, self.device), free, free_memory(wp.get_device("cpu")))
         samples = settings.sample_count * checked.frame.pixel_count
-        features = replace(derive_features(checked, settings), adaptive=pixels_can_end(settings, sample_first))
+        features = derived("features", settings, lambda: derive_features(checked, settings))
+        features = replace(features, adaptive=pixels_can_end(settings, sample_first))
         plan = plan_tracing(settings, size, self.layout, self.device.is_cuda, memory, samples, features.moving)
         warnings = [*checked.warnings, *plan.complaints]
         tier = choose_tier(features, settings.kernel_tier, self.device)

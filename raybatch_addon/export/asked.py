@@ -10,6 +10,7 @@ Threads are asked for by Blender's own option `-t`.
 
 from __future__ import annotations
 
+import functools
 import itertools
 import sys
 from collections.abc import Sequence
@@ -38,7 +39,11 @@ class Asked:
 
 def asked(arguments: Sequence[str] | None = None) -> Asked:
     """The options in `arguments` (those of this process). Raises `SettingsError` for a value that there is not."""
-    arguments = list(sys.argv if arguments is None else arguments)
+    return _asked(tuple(sys.argv if arguments is None else arguments))
+
+
+@functools.lru_cache(maxsize=4)
+def _asked(arguments: tuple[str, ...]) -> Asked:
     end = arguments.index("--") if "--" in arguments else len(arguments)
     own = arguments[end + 1 :]
     is_blender = bool(arguments) and Path(arguments[0]).stem.lower().startswith("blender")  # not a script

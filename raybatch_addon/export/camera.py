@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import functools
+from typing import Literal
+
 import bpy
 import numpy as np
 
@@ -74,12 +77,25 @@ def _transform(matrix: np.ndarray, name: str) -> np.ndarray:
     """Camera to world without scale, as Blender views through the camera, from its matrix [4, 4]: shape [3, 4]."""
     if not np.isfinite(matrix).all():
         raise SceneError(f"{name}: its matrix is not finite; reset its location, rotation and scale")
-    scale = np.linalg.norm(matrix[:3, :3], axis=0)
-    axes = matrix[:3, :3] / np.where(scale > 0, scale, 1)
+    # in the order of its memory, which sums of float32 may follow
+    found = _without_scale(np.asarray(matrix, float).tobytes("A"), "F" if matrix.flags.f_contiguous else "C")
+    if found is None:
+        raise SceneError(f"{name}: its matrix is singular; give it, and what it is parented to, a scale that is not 0")
+    return found.copy("K")
+
+
+@functools.lru_cache(maxsize=256)
+def _without_scale(matrix: bytes, order: Literal["C", "F"]) -> np.ndarray | None:
+    """A matrix of float64, row by row (C) or column by column (F), with axes of unit length, shape [3, 4]; None where
+    it is singular. Renders ask for the same ones again.
+    """
+    numbers = np.frombuffer(matrix).reshape((4, 4), order=order)
+    scale = np.linalg.norm(numbers[:3, :3], axis=0)
+    axes = numbers[:3, :3] / np.where(scale > 0, scale, 1)
     # axes of unit length span a volume of 1, less where they are sheared
     if abs(np.linalg.det(axes)) < np.finfo(np.float32).eps:
-        raise SceneError(f"{name}: its matrix is singular; give it, and what it is parented to, a scale that is not 0")
-    return np.column_stack([axes, matrix[:3, 3]]).astype(np.float32)
+        return None
+    return np.column_stack([axes, numbers[:3, 3]]).astype(np.float32)
 
 
 def _span(render: bpy.types.RenderSettings, width: int, height: int) -> np.ndarray:

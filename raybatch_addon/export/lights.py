@@ -8,9 +8,10 @@ radius counts as 4), and a sun's strength is its radiance.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Hashable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import bpy
 import numpy as np
@@ -23,6 +24,9 @@ from .nodes.compile import compile_graph
 from .world import has_nodes, usable_emission
 
 _MAX_BOUNCES = 1024  # Cycles' default, which means no limit
+
+# Light to world and scales, as `_placement` has them
+_Place: TypeAlias = tuple[np.ndarray, np.ndarray]
 
 # Columns of a matrix that was composed from rotation and scale in float32 are this close to perpendicular
 _SHEAR_MIN = 1e-4
@@ -171,32 +175,42 @@ def _shape(light: bpy.types.Light, scale: np.ndarray) -> tuple[float, dict | Non
 
 def _placement(obj: bpy.types.Object, matrix: np.ndarray, warnings: list[str]) -> tuple[np.ndarray, np.ndarray] | None:
     """Orthonormal light to world, shape [3, 4], and the scale along its axes, shape [3]; None for a useless matrix."""
-    name = f"light “{obj.name}”"
+    # in the order of its memory, which sums may follow
+    order: Literal["C", "F"] = "F" if matrix.flags.f_contiguous else "C"
+    found, text, is_left_out = _placed(obj.data.type, matrix.tobytes("A"), order)
+    if text:
+        weight = Weight.REPAIRED if is_left_out else Weight.REPLACED
+        warnings.append(Notice(f"light “{obj.name}”: {text}", weight, objects=[obj.name]))
+    return None if found is None else (found[0].copy("K"), found[1].copy())
+
+
+@functools.lru_cache(maxsize=1024)
+def _placed(kind: str, numbers: bytes, order: Literal["C", "F"]) -> tuple[_Place | None, str, bool]:
+    """What `_placement` returns for a light of this type and a matrix of float64, row by row (C) or column by column
+    (F), what is wrong with that, and whether the light is left out. Renders ask for the same ones again.
+    """
+    matrix = np.frombuffer(numbers).reshape((4, 4), order=order)
     if not np.isfinite(matrix).all():
-        text = f"{name}: its matrix is not finite; it is left out. Reset its location, rotation and scale"
-        warnings.append(Notice(text, Weight.REPAIRED, objects=[obj.name]))
-        return None
+        return None, "its matrix is not finite; it is left out. Reset its location, rotation and scale", True
     columns, position = matrix[:3, :3], matrix[:3, 3]
     scale = np.linalg.norm(columns, axis=0)
-    if obj.data.type == "POINT":
-        return np.column_stack([np.eye(3), position]).astype(np.float32), np.ones(3)
-    needed = scale if obj.data.type == "SPOT" else scale[2:]
+    if kind == "POINT":
+        return (np.column_stack([np.eye(3), position]).astype(np.float32), np.ones(3)), "", False
+    needed = scale if kind == "SPOT" else scale[2:]
     if (needed == 0).any():
-        text = f"{name}: its scale is 0, so that it has no direction; it is left out. Give it a scale that is not 0"
-        warnings.append(Notice(text, Weight.REPAIRED, objects=[obj.name]))
-        return None
-    unit = columns / np.where(scale > 0, scale, 1)
+        text = "its scale is 0, so that it has no direction; it is left out. Give it a scale that is not 0"
+        return None, text, True
+    text, unit = "", columns / np.where(scale > 0, scale, 1)
     z = unit[:, 2]
-    if obj.data.type != "SUN" and max(abs(unit[:, i] @ unit[:, j]) for i, j in ((0, 1), (0, 2), (1, 2))) > _SHEAR_MIN:
-        text = f"{name}: it is sheared, which is not supported; it keeps its direction and sizes at right angles"
-        warnings.append(Notice(text, objects=[obj.name]))
+    if kind != "SUN" and max(abs(unit[:, i] @ unit[:, j]) for i, j in ((0, 1), (0, 2), (1, 2))) > _SHEAR_MIN:
+        text = "it is sheared, which is not supported; it keeps its direction and sizes at right angles"
     x = unit[:, 0] - (unit[:, 0] @ z) * z
     if np.linalg.norm(x) < _SHEAR_MIN:
         x = np.cross(unit[:, 1], z)
     if np.linalg.norm(x) < _SHEAR_MIN:
         x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
     x /= np.linalg.norm(x)
-    return np.column_stack([x, np.cross(z, x), z, position]).astype(np.float32), scale
+    return (np.column_stack([x, np.cross(z, x), z, position]).astype(np.float32), scale), text, False
 
 
 def _warn_of_limits(obj: bpy.types.Object, name: str, warnings: list[str]) -> None:

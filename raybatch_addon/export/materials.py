@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Hashable
 from dataclasses import replace
 
@@ -175,6 +176,7 @@ def export_material(
     ), [*compiled.notes, *notes]
 
 
+@functools.cache
 def _default_material() -> Material:
     """What Cycles gives surfaces without a material: a Principled BSDF as Blender adds it; before 5.0 Lambert's."""
     if bpy.app.version < (5, 0):

@@ -228,14 +228,15 @@ def shipped_target(kernel: wp.Kernel, device: wp.Device) -> str:
     return files.target if files else ""
 
 
-def _is_loaded(kernel: wp.Kernel, device: wp.Device) -> bool:
+def is_kernel_loaded(kernel: wp.Kernel, device: wp.Device) -> bool:
+    """Whether the module of `kernel` is loaded."""
     return is_loaded(kernel.module, device, _block_size(kernel, device))
 
 
 def loaded_modules(kernels: Iterable[wp.Kernel], device: wp.Device) -> list[str] | None:
     """The names of the modules of `kernels`, if all of them are loaded."""
     unique = {kernel.module.name: kernel for kernel in kernels}
-    return sorted(unique) if all(_is_loaded(each, device) for each in unique.values()) else None
+    return sorted(unique) if all(is_kernel_loaded(each, device) for each in unique.values()) else None
 
 
 def load_kernels(
@@ -253,7 +254,7 @@ def load_kernels(
     from concurrent.futures import ThreadPoolExecutor, as_completed
 
     unique = {kernel.module.name: kernel for kernel in kernels}
-    lacking = [each for each in unique.values() if not _is_loaded(each, device)]
+    lacking = [each for each in unique.values() if not is_kernel_loaded(each, device)]
     there = len(unique) - len(lacking)
     on_module(there, len(unique))
     if lacking:  # else no thread is begun: a second render has all

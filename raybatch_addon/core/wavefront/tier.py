@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from ..device.devices import is_compiled, shipped_target
+from ..device.devices import is_compiled, is_kernel_loaded, shipped_target
 from ..errors import SettingsError
 from ..programs.op import VOLUME_PREFIX, op_named, op_numbers
 from ..programs.requests import REQUEST_OPS
@@ -28,6 +28,7 @@ from .estimates.work import Estimate
 from .kernels import StageKernels
 from .stages.work import ShadingStage
 
+_COMPILED_BEFORE = "they were compiled before"  # why kernels are specialised ones
 VARIABLE = "RAYBATCH_KERNEL_TIER"
 TIERS = ("AUTO", "GENERAL", "SPECIALISED")
 # Programs that need more registers or closures are left to specialised kernels
@@ -211,11 +212,14 @@ def choose_tier(features: SceneFeatures, setting: str, device: wp.Device) -> Tie
         return specialised(why)
     if setting == "GENERAL":
         return general("as set")
+    own = StageKernels.choose(features, device).that_shade()
+    if all(is_kernel_loaded(kernel, device) for kernel in own):
+        return specialised(_COMPILED_BEFORE)
     stages = StageKernels.choose(features, device, general_features(device)).that_shade()
     # where general kernels are at hand, nobody waits until the others are looked for by their code
     at_hand = all(is_compiled(kernel, device, at_once=True) for kernel in stages)
-    if all(is_compiled(kernel, device, at_hand) for kernel in StageKernels.choose(features, device).that_shade()):
-        return specialised("they were compiled before")
+    if all(is_compiled(kernel, device, at_hand) for kernel in own):
+        return specialised(_COMPILED_BEFORE)
     if at_hand or all(is_compiled(kernel, device) for kernel in stages):
         target = shipped_target(stages[0], device)
         shipped = f" (shipped for {target})" if target else ""

@@ -197,6 +197,13 @@ def object_value(
     )
 
 
+def position_on_surface(placed: bpy.types.DepsgraphObjectInstance, name: str) -> tuple[float, ...]:
+    """Position of an instance on the surface that places it: its generated coordinates as in Cycles, or its `uv`."""
+    if name == "uv":
+        return (*placed.uv, 0.0, 1.0)
+    return (*(0.5 * x - 0.5 for x in placed.orco), 1.0)
+
+
 def view_layer_value(
     scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer, name: str
 ) -> tuple[float, float, float, float] | None:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Hashable
 from dataclasses import replace
-from itertools import chain
+from operator import attrgetter
 from typing import TypeAlias
 
 import bpy
-import numpy as np
 
-from ...core.scene.description import COPY_SET, Light, Visibility
+from ...core.scene.description import COPY_SET, Visibility
 from ...core.scene.linking import catcher_bits, shadow_bit
 from ...core.scene.notice import Notice, Weight
 from ..curves.placing import CurveData, StrandMeshes
@@ -21,13 +20,13 @@ from ..lights import LampGraphs, export_light, is_portal
 from ..motion.objects import PlacedMotions
 from ..nodes.collections import OF_INSTANCER
 from ..settings import output_engine
-from .attributes import object_value
+from .attributes import object_value, position_on_surface
 from .holdouts import is_holdout, with_hole
 from .kept_meshes import MeshSource
 from .live_meshes import LiveMeshes, LiveSource
 from .meshes import slot_count
 from .persistent import known_meshes
-from .placements import Placements, Template
+from .placements import Placements, Template, row_bytes
 from .random_numbers import random_of
 from .smoke import any_grids, smoke_domain
 from .volumes import export_volume
@@ -37,31 +36,17 @@ _OBJECT_KINDS = {"OBJECT", "INSTANCER", OF_INSTANCER}  # kinds of attributes tha
 _Placed: TypeAlias = bpy.types.DepsgraphObjectInstance
 _Object: TypeAlias = bpy.types.Object
 _SOLID_TYPES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
+# Bits of rays, and what says whether an object is seen by each
+_RAY_BITS = tuple(int(ray) for ray in Visibility)
+_seen_by_rays = attrgetter(*(f"visible_{ray.name.lower()}" for ray in Visibility if ray.name))
 
 
 class Cancelled(Exception):
     """Raised when the caller of the export asks it to stop."""
 
 
-def _with_attributes(light: Light, values: tuple[tuple[int, tuple[float, ...]], ...], placements: Placements) -> Light:
-    """`light` with the values of its object's attributes, by their indices among all."""
-    if not values:
-        return light
-    attributes = np.zeros((len(placements.materials.collections.object_attributes), 4), np.float32)
-    for index, value in values:
-        attributes[index] = value
-    return replace(light, attributes=attributes)
-
-
 def _named(names: list[str]) -> str:
     return ", ".join(f"“{name}”" for name in dict.fromkeys(names))
-
-
-def _position_on_surface(placed: _Placed, name: str) -> tuple[float, ...]:
-    """Position of an instance on the surface that places it: its generated coordinates as in Cycles, or its `uv`."""
-    if name == "uv":
-        return (*placed.uv, 0.0, 1.0)
-    return (*(0.5 * x - 0.5 for x in placed.orco), 1.0)
 
 
 def collect_placements(
@@ -94,8 +79,11 @@ class PlacementCollector:
         if live is not None:
             self.placements.materials.begin_live(live.materials)
         self._lamp_graphs = LampGraphs(collections, self.placements.materials.kept)
-        self._templates: dict[Hashable, Template | None] = {}
-        self._holes: dict[Hashable, Template | None] = {}  # what the camera sees of holdout objects
+        # what is placed, and the part of `Placements.info` that is the object's: the mesh as all rays see it, and what
+        # the camera sees of a holdout object
+        self._placed: dict[Hashable, tuple[list[Template], tuple[float, ...]]] = {}
+        # of what one object placed in a row: keys of `_placed`, by addresses of the original and of its data
+        self._parent, self._of_parent = 0, dict[tuple[int, int], Hashable]()
         self._meshes: dict[Hashable, int | None] = {}
         self._attributes_seen: dict[Hashable, set[tuple[str, str]]] = {}  # attributes read, by mesh
         self._object_index: dict[str, int] = {}
@@ -107,7 +95,8 @@ class PlacementCollector:
         self.placements.linked = bool(self._linking)
         self._groups = {each.name: i for i, each in enumerate(self.view_layer.lightgroups)}
         self.placements.grouped = bool(self._groups)
-        self._use_hair = depsgraph.view_layer.use_strand
+        layer = depsgraph.view_layer
+        self._use_hair, self._use_solid, self._use_volumes = layer.use_strand, layer.use_solid, layer.use_volumes
         self._strands = StrandMeshes(self.placements.meshes, self.placements.warnings, depsgraph.scene)
         self.placements.strands = self._strands.sources
         self._looked_at: set[int] = set()  # pointers of `Placements.originals`
@@ -134,84 +123,93 @@ class PlacementCollector:
     def add(self, placed: _Placed, cancelled: Callable[[], bool]) -> None:
         """Take one item of the depsgraph's list."""
         self._item += 1
-        obj = placed.object
+        obj, parent = placed.object, placed.parent
+        data, original = obj.data, obj.original
+        address = original.as_pointer()
+        again = None
+        if parent is not None and data is not None and self._live is None:
+            owner, again = parent.as_pointer(), (address, data.as_pointer())
+            if owner != self._parent:
+                self._parent, self._of_parent = owner, {}
+            elif again in self._of_parent:
+                self._place(placed, obj, self._of_parent[again])
+                return
         kind = obj.type
-        of_itself = not placed.is_instance or (placed.parent is not None and placed.parent.original == obj.original)
         if self._live is not None:
             if not self._live.shows(placed):
                 return
-        elif of_itself and self.viewport and obj.original.hide_render:
-            return  # a render's own depsgraph leaves these out by itself
-        if obj.original.as_pointer() not in self._looked_at:
-            self._looked_at.add(obj.original.as_pointer())
-            self.placements.originals.append(obj.original)
+        elif self.viewport and original.hide_render:
+            of_itself = not placed.is_instance or (parent is not None and parent.original == original)
+            if of_itself:
+                return  # a render's own depsgraph leaves these out by itself
+        if address not in self._looked_at:
+            self._looked_at.add(address)
+            self.placements.originals.append(original)
             self._note_unsupported(obj, placed)
         if kind == "LIGHT":
             self._add_light(placed, obj)
             return
-        if placed.show_particles and self._use_hair:
-            for modifier in hair_systems(obj, self.viewport):
-                self._add_strands(placed, obj, modifier, cancelled)
-        if isinstance(obj.data, (bpy.types.Curves, bpy.types.PointCloud)):
-            if placed.show_self and (self._use_hair or isinstance(obj.data, bpy.types.PointCloud)):
-                self._add_strands(placed, obj, obj.data, cancelled)
+        hair = hair_systems(obj, self.viewport) if self._use_hair and placed.show_particles else []
+        for modifier in hair:
+            self._add_strands(placed, obj, modifier, cancelled)
+        if isinstance(data, (bpy.types.Curves, bpy.types.PointCloud)):
+            if placed.show_self and (self._use_hair or isinstance(data, bpy.types.PointCloud)):
+                self._add_strands(placed, obj, data, cancelled)
             return
         # Curves, text, surfaces and metaballs come twice: as themselves, and as an instance of their evaluated mesh
-        is_solid = kind in _SOLID_TYPES and isinstance(obj.data, bpy.types.Mesh) and self.view_layer.use_solid
-        if not placed.show_self or not (is_solid or (kind == "VOLUME" and self.view_layer.use_volumes)):
+        is_solid = self._use_solid and kind in _SOLID_TYPES and isinstance(data, bpy.types.Mesh)
+        if not (is_solid or (self._use_volumes and kind == "VOLUME")) or not placed.show_self:
             return
-        data = obj.data
-        key = (
-            obj.original.as_pointer(),
-            placed.parent.original.as_pointer() if placed.parent else 0,
-            data.as_pointer(),
-            data.session_uid,
-        )
-        if key not in self._templates:
+        owner = parent.original.as_pointer() if parent else 0
+        key = (address, owner, data.as_pointer(), data.session_uid)
+        if key not in self._placed:
             if cancelled():
                 raise Cancelled
             wanted = self.materials_of(obj, data)
             self._keep(key, placed, obj, wanted, functools.partial(self._mesh, obj, data))
         self._place(placed, obj, key)
+        if again is not None and not hair:
+            self._of_parent[again] = key
 
     def _add_strands(self, placed: _Placed, obj: _Object, data: CurveData, cancelled: Callable[[], bool]) -> None:
         """Curves, points, or the hair of the modifier `data`."""
         owner = placed.parent.original.as_pointer() if placed.parent else 0
         key = (obj.original.as_pointer(), owner, data.as_pointer(), type(data).__name__)
-        if key not in self._templates:
+        if key not in self._placed:
             if cancelled():
                 raise Cancelled
             self._keep(key, placed, obj, *self._strands.of(obj, data, self))
         self._place(placed, obj, key)
 
     def _keep(self, key: Hashable, placed: _Placed, obj: _Object, wanted: list[int], mesh: Callable) -> None:
-        """Make the template of `key`, and that of what the camera sees of a holdout object."""
+        """Make what is placed for `key`: a template, and that of what the camera sees of a holdout object."""
         template, hole = self._template(placed, obj, wanted, mesh), None
         if template is not None and is_holdout(placed, obj, self.view_layer):
             template, hole = with_hole(template, self.placements, len(wanted))
-        self._templates[key], self._holes[key] = template, hole
+        templates = [each for each in (template, hole) if each is not None]
+        self._placed[key] = templates, (*obj.color, float(obj.pass_index))
 
     def _place(self, placed: _Placed, obj: _Object, key: Hashable) -> None:
-        for template in (self._templates[key], self._holes[key]):
-            if template is None:
-                continue
+        templates, info = self._placed[key]
+        placements = self.placements
+        for template in templates:
             if self._live is not None:
                 self._live.note_placed(placed)
-            if placed.is_instance:
-                instance = len(self.placements.templates)
+            if template.of_instancer and placed.is_instance:
+                instance = len(placements.templates)
                 for index, name in template.of_instancer:
-                    self.placements.of_instancer.append((instance, index, _position_on_surface(placed, name)))
-            self.placements.templates.append(template)
-            self.placements.matrices.extend(chain.from_iterable(placed.matrix_world))
+                    placements.of_instancer.append((instance, index, position_on_surface(placed, name)))
+            placements.templates.append(template)
+            placements.matrices.frombytes(row_bytes(placed.matrix_world))
             if self._motions:
-                self.placements.motion.append(self._motions.of(placed, obj, template.mesh, self.placements, self._item))
-            self.placements.info.append((*obj.color, float(obj.pass_index), random_of(placed)))
+                placements.motion.append(self._motions.of(placed, obj, template.mesh, placements, self._item))
+            placements.info.append((*info, random_of(placed)))
 
     def finish(self) -> Placements:
         """All placements, with the warnings that need the whole list."""
         placements = self.placements
         placements.lights = [
-            _with_attributes(light, values, placements) for light, values in zip(placements.lights, self._light_values)
+            placements.with_attributes(light, values) for light, values in zip(placements.lights, self._light_values)
         ]
         if not placements.catches:
             placements.lights = [
@@ -367,14 +365,10 @@ class PlacementCollector:
         original = obj.original
         key = original.as_pointer()
         if key not in self._visibilities:
-            seen = Visibility(0)
-            for ray in Visibility:
-                assert ray.name is not None  # a single bit
-                if getattr(obj, f"visible_{ray.name.lower()}"):
-                    seen |= ray
+            seen = sum(bit for bit, is_seen in zip(_RAY_BITS, _seen_by_rays(obj), strict=True) if is_seen)
             if original.indirect_only_get(view_layer=self.view_layer):
-                seen &= ~Visibility.CAMERA
-            self._visibilities[key] = int(seen)
+                seen &= ~int(Visibility.CAMERA)
+            self._visibilities[key] = seen
         return self._visibilities[key]
 
     def _name_index(self, obj: _Object) -> int:

@@ -8,7 +8,7 @@ and what else it derives from them. The arrays of a kept mesh are frozen: what t
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -19,7 +19,7 @@ from ...core.device.devices import host_memory_free
 from ...core.scene.description import Attribute, Mesh
 from ...core.scene.frozen import freeze
 from .attributes import ATTRIBUTE_TYPES, mesh_attributes
-from .mesh_arrays import MeshArrays, read
+from .mesh_arrays import MeshArrays
 from .meshes import export_mesh
 
 # A mesh that this many exports have not used is dropped
@@ -28,6 +28,10 @@ _EXPORTS_KEPT = 2
 _MEMORY_SHARE = 0.25
 # What counts as free at most, as where the system does not say [bytes]
 _FREE_MOST = 64 << 30
+
+# Modifiers that run on several threads round what they interpolate differently each time, by a few units in the last
+# place: relative
+_ROUNDING = 2.0**-21
 
 # Attributes that triangles, normals and materials follow from, wherever a mesh has them
 _OF_SHAPE = frozenset(
@@ -54,6 +58,7 @@ class _Kept:
 
     def __init__(self, mesh: Mesh) -> None:
         self.mesh = replace(mesh, corner_uvs=None)  # without attributes
+        self._mesh_bytes = sum(array.nbytes for array in mesh_arrays(self.mesh))
         self.used = self.made = _export_count  # numbers of the exports that last used it and that made it
         self._now: dict[tuple, Attribute] = {}
         self._before: dict[tuple, Attribute] = {}
@@ -62,7 +67,7 @@ class _Kept:
     def bytes(self) -> int:
         """Memory that it takes on the host [bytes]."""
         more = {id(each): each.values.nbytes for each in (*self._now.values(), *self._before.values())}
-        return sum(array.nbytes for array in mesh_arrays(self.mesh)) + sum(more.values())
+        return self._mesh_bytes + sum(more.values())
 
     def use(self) -> None:
         """The present export uses it."""
@@ -80,10 +85,29 @@ class _Kept:
             self._now[key] = found
         return found
 
-    def keep(self, key: tuple, part: Attribute) -> None:
-        """Keep `part`, whose values nobody may change any more."""
-        freeze(part.values)
+    def keep(self, key: tuple, part: Attribute) -> Attribute:
+        """Keep `part`, whose values nobody may change any more; what is kept is that of an earlier export where they
+        are rounded in another way alone.
+        """
+        for other, known in (*self._now.items(), *self._before.items()):
+            if other[1:] == key[1:] and _is_alike(known.values, part.values):
+                part = known
+                break
+        else:
+            freeze(part.values)
         self._now[key] = part
+        return part
+
+
+def _is_alike(values: np.ndarray, others: np.ndarray) -> bool:
+    """Whether `others` are `values` as far as evaluating them again shows."""
+    if values.shape != others.shape or values.dtype != others.dtype:
+        return False
+    if values.dtype.kind != "f":
+        return np.array_equal(values, others)
+    with np.errstate(invalid="ignore"):
+        near = np.isfinite(values) & (np.abs(values - others) <= _ROUNDING * np.abs(values))
+    return bool((near | (values == others)).all())
 
 
 _kept: dict[bytes, _Kept] = {}  # by digest of the shape
@@ -124,11 +148,13 @@ def end_export() -> None:
     for digest in [digest for digest, each in _kept.items() if each.used <= _export_count - _EXPORTS_KEPT]:
         del _kept[digest]
     sizes = {digest: each.bytes for digest, each in _kept.items()}
-    room = _MEMORY_SHARE * (min(host_memory_free(), _FREE_MOST) + sum(sizes.values()))
+    taken = sum(sizes.values())
+    room = _MEMORY_SHARE * (min(host_memory_free(), _FREE_MOST) + taken)
     for digest in sorted(sizes, key=lambda each: _kept[each].used):
-        if sum(sizes.values()) <= room:
+        if taken <= room:
             break
-        del _kept[digest], sizes[digest]
+        taken -= sizes[digest]
+        del _kept[digest]
     for place in [place for place, digest in _last.items() if digest not in _kept]:
         del _last[place]
     _export_count += 1
@@ -174,8 +200,7 @@ def kept_uvs(digest: bytes, key: bytes, make: Callable[[], np.ndarray]) -> np.nd
     kept = _kept[digest]
     part = kept.part((key,))
     if part is None:
-        part = Attribute("UV", "", make())
-        kept.keep((key,), part)
+        part = kept.keep((key,), Attribute("UV", "", make()))
     return part.values
 
 
@@ -187,7 +212,7 @@ class MeshSource:
         self._mesh, self._user, self._warnings = mesh, user, warnings
         mesh.calc_loop_triangles()
         self._layer = next((layer for layer in mesh.uv_layers if layer.active_render and len(layer.uv)), None)
-        self._shape = _digest(mesh, self._layer, lambda attribute: attribute.name in _OF_SHAPE)
+        self._shape = _digest(mesh, self._layer, _OF_SHAPE)
         self._counts = len(mesh.vertices), len(mesh.polygons)
         self._all: bytes | None = None
 
@@ -225,7 +250,7 @@ class MeshSource:
         asked, found = list(asked), []
         kept = _kept.get(self._shape)
         if asked and kept is not None and self._all is None:
-            self._all = _digest(self._mesh, self._layer, lambda attribute: True)
+            self._all = _digest(self._mesh, self._layer)
         for key in [(self._all, *each) for each in asked]:
             part = kept and kept.part(key)
             if part:
@@ -234,43 +259,49 @@ class MeshSource:
             before = len(self._warnings)
             read = mesh_attributes(self._mesh, [key[1:]], self._user, self._warnings)
             if kept is not None and len(self._warnings) == before:
-                for each in read:
-                    kept.keep(key, each)
+                read = [kept.keep(key, each) for each in read]
             found += read
         return found
 
 
-def _digest(mesh: bpy.types.Mesh, layer, is_wanted: Callable[[bpy.types.Attribute], bool]) -> bytes:
-    """Equal for equal meshes only, as far as the attributes go that `is_wanted`. `layer`: the UV map of renders."""
+def _digest(mesh: bpy.types.Mesh, layer, wanted: Collection[str] | None = None) -> bytes:
+    """Equal for equal meshes only, as far as the attributes with `wanted` names go; None: all. `layer`: the UV map of
+    renders.
+    """
     digest = hashlib.sha1(usedforsecurity=False)
-    render_color = mesh.color_attributes.render_color_index
+    colors = mesh.color_attributes
+    render_color, has_custom = colors.render_color_index, mesh.has_custom_normals
     names = (
         mesh.name,
         len(mesh.materials),
         tuple(mesh.texspace_location),
         tuple(mesh.texspace_size),
         mesh.normals_domain,
-        mesh.has_custom_normals,
+        has_custom,
         None if layer is None else layer.name,
-        mesh.color_attributes[render_color].name if 0 <= render_color < len(mesh.color_attributes) else None,
+        colors[render_color].name if 0 <= render_color < len(colors) else None,
     )
     digest.update(repr(names).encode())
     # how many corners each face has shows in its triangles
     _add(digest, mesh.loop_triangle_polygons, "value", np.int32, 1)
     stored = False
     for attribute in mesh.attributes:
-        if not is_wanted(attribute):
+        name = attribute.name
+        if wanted is not None and name not in wanted:
             continue
-        digest.update(repr((attribute.name, attribute.domain, attribute.data_type)).encode())
-        if attribute.data_type in _STORED:
-            _add(digest, attribute.data, *_STORED[attribute.data_type])
-            stored |= attribute.name == "custom_normal"
-    if mesh.has_custom_normals and not stored:  # Blender keeps them elsewhere
+        data_type = attribute.data_type
+        digest.update(f"{name!r} {attribute.domain} {data_type}".encode())
+        if data_type in _STORED:
+            _add(digest, attribute.data, *_STORED[data_type])
+            stored |= name == "custom_normal"
+    if has_custom and not stored:  # Blender keeps them elsewhere
         _add(digest, mesh.corner_normals, "vector", np.float32, 3)
     return digest.digest()
 
 
 def _add(digest, collection, attribute: str, dtype, width: int) -> None:
-    values = read(collection, attribute, dtype, len(collection), width)
-    digest.update(str(values.shape).encode())
+    count = len(collection)
+    values = np.empty(count * width, dtype)
+    collection.foreach_get(attribute, values)
+    digest.update(b"%d %d" % (count, width))
     digest.update(values)

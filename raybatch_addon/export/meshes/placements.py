@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,6 +17,7 @@ from ..motion.placed import PlacedMotion
 
 if TYPE_CHECKING:
     import bpy
+    import mathutils
 
 # A matrix composed in float32 from a few products has elements wrong by about this much, relatively
 _MATRIX_ERROR = 8 * 2.0**-24
@@ -112,6 +113,15 @@ class Placements:
             light_group=groups,
         )
 
+    def with_attributes(self, light: Light, values: tuple[tuple[int, tuple[float, ...]], ...]) -> Light:
+        """`light` with the values of its object's attributes, by their indices among all."""
+        if not values:
+            return light
+        attributes = np.zeros((len(self.materials.collections.object_attributes), 4), np.float32)
+        for index, value in values:
+            attributes[index] = value
+        return replace(light, attributes=attributes)
+
     def map_rows(self) -> np.ndarray:
         """Object to world of all placements, row by row: float32, shape [n, 16]."""
         return np.array(self.matrices, np.float32).reshape(-1, 16)
@@ -128,6 +138,14 @@ class Placements:
         for i, index, value in self.of_instancer:
             values[i, index] = value
         return values[usable]
+
+
+def row_bytes(matrix: mathutils.Matrix) -> bytes:
+    """The numbers of `matrix`, row by row: float32."""
+    try:
+        return memoryview(matrix).tobytes()
+    except TypeError:  # Blender before 5.1 gives no view of them
+        return np.array(matrix, np.float32).tobytes()
 
 
 def is_singular(transform: np.ndarray) -> np.ndarray:

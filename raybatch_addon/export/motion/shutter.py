@@ -86,8 +86,11 @@ def _times(mapping: bpy.types.CurveMapping) -> np.ndarray | None:
     open alike all the time.
     """
     mapping.update()
+    curve = mapping.curves[0]
+    if len({point.location[1] for point in curve.points}) == 1:
+        return None
     x = np.linspace(0, 1, _CURVE_STEPS)
-    opening = np.abs([mapping.evaluate(mapping.curves[0], float(each)) for each in x])
+    opening = np.abs([mapping.evaluate(curve, float(each)) for each in x])
     if not np.isfinite(opening).all() or opening.max() == 0 or np.ptp(opening) < 1e-6 * opening.max():
         return None
     light = np.concatenate([[0], np.cumsum(opening)]) / opening.sum()

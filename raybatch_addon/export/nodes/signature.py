@@ -65,8 +65,8 @@ class Signatures:
                     + (each.is_muted,)
                     for each in tree.links
                 )
-                items = tuple(self._struct(item, 0) for item in tree.interface.items_tree)
-                signature = (tree.name, tuple(map(self._node, tree.nodes)), links, items)
+                # the interface of a group shows in the sockets of its nodes
+                signature = (tree.name, tuple(map(self._node, tree.nodes)), links)
                 self._trees[key] = signature, self.images
             finally:
                 self._open.discard(key)
@@ -86,13 +86,14 @@ class Signatures:
     def _socket(self, socket: bpy.types.NodeSocket) -> tuple:
         kind: type = type(socket)
         read, stored = _socket_reader(kind)
-        own = read(socket)
-        if stored == "NONE":
-            return own
-        value = socket.default_value
+        if stored == "PLAIN":
+            return (kind, *read(socket))
+        own = (kind, *read(socket))
+        if stored == "ARRAY":
+            return (*own[:-1], tuple(own[-1]))
         if stored == "POINTER":
-            return (*own, None if value is None else self._pointed(value, 0))
-        return (*own, tuple(value) if stored == "ARRAY" else value)
+            return (*own[:-1], None if own[-1] is None else self._pointed(own[-1], 0))
+        return own
 
     def _struct(self, struct: Any, depth: int) -> tuple:
         if depth > _DEPTH_MOST:
@@ -123,14 +124,15 @@ class Signatures:
 
 @functools.cache
 def _socket_reader(kind: type[bpy.types.NodeSocket]) -> tuple[Callable[[Any], tuple], str]:
-    """What reads sockets of a type but for their values, and how these are stored: NONE, PLAIN, ARRAY or POINTER."""
+    """What reads sockets of a type, their values last, and how these are stored: NONE, PLAIN, ARRAY or POINTER."""
     value = kind.bl_rna.properties.get("default_value")
     stored = "NONE"
     if value is not None:
         stored = "POINTER" if value.type == "POINTER" else "ARRAY" if getattr(value, "is_array", False) else "PLAIN"
     if value is not None and (value.type == "COLLECTION" or getattr(value, "is_enum_flag", False)):
         raise NoSignature
-    return attrgetter("bl_idname", "identifier", "name", "enabled", "hide_value", "is_unavailable"), stored
+    values = () if stored == "NONE" else ("default_value",)
+    return attrgetter("identifier", "name", "enabled", "hide_value", *values), stored
 
 
 @functools.cache

@@ -43,8 +43,18 @@ class Taken:
     def is_chosen(self, scene: bpy.types.Scene) -> bool:
         """Whether someone gave the property a value other than that of a new scene."""
         owner = getattr(scene, self.owner, None)
-        prop = owner.bl_rna.properties.get(self.name) if owner is not None else None
-        return prop is not None and getattr(owner, self.name) != prop.default
+        if owner is None:
+            return False
+        kind: Any = type(owner)
+        new = _new_value(kind, self.name)
+        return new is not None and getattr(owner, self.name) != new
+
+
+@functools.cache
+def _new_value(kind: Any, name: str) -> Any:
+    """The value of the property `name` in a new scene, for a type of Blender's structs; None: there is none."""
+    prop = kind.bl_rna.properties.get(name)
+    return None if prop is None else prop.default
 
 
 def _switch(value: bool, _owner: Any) -> str:

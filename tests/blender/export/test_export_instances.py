@@ -12,7 +12,7 @@ from mathutils import Matrix
 from raybatch_addon.core.scene.description import ALL_LIGHT_SETS, COPY_SET, Visibility
 from raybatch_addon.core.scene.linking import catcher_bits, catchers
 from raybatch_addon.core.scene.passes import CATCHER_PASS, CATCHER_SHADOWS
-from raybatch_addon.export.meshes.placements import is_singular
+from raybatch_addon.export.meshes.placements import is_singular, row_bytes
 from raybatch_addon.export.scene import export_scene
 from tests.support.blender_builders import add_grid, add_object, add_triangle, exported, material_of
 
@@ -333,3 +333,10 @@ def test_border_passes_and_alpha_of_the_frame(scene):
     render.use_border = True
     render.border_min_x, render.border_max_x, render.border_min_y, render.border_max_y = 0.25, 0.5, 0.1, 0.9
     assert exported().frame.border == (41, 4, 83, 44)
+
+
+def test_matrices_are_read_row_by_row():
+    matrix = Matrix([[float(4 * row + column) for column in range(4)] for row in range(4)])
+    rows = np.arange(16, dtype=np.float32).tobytes()
+    assert row_bytes(matrix) == rows
+    assert row_bytes([list(row) for row in matrix]) == rows, "as from a Blender whose matrices give no view"

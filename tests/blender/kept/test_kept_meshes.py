@@ -195,3 +195,38 @@ def test_kept_meshes_take_a_share_of_the_memory_at_most(obj, monkeypatch):
     monkeypatch.setattr(kept_meshes, "_MEMORY_SHARE", 0.0)
     of_scene()
     assert not kept_meshes._kept
+
+
+def test_a_uv_map_that_is_rounded_in_another_way_is_the_same(obj):
+    """Modifiers that run on several threads interpolate it differently each time."""
+
+    def scale(factor):
+        uv = obj.data.uv_layers[0].uv
+        values = np.empty(2 * len(uv), np.float32)
+        uv.foreach_get("vector", values)
+        uv.foreach_set("vector", values * np.float32(factor))
+        obj.update_tag(refresh={"DATA"})
+        bpy.context.view_layer.update()
+
+    scale(0.7)  # of many digits
+    first = of_scene()
+    scale(1 + 2**-22)
+    second = of_scene()
+    assert second.corner_uvs is first.corner_uvs
+    assert all(a.values is b.values for a, b in zip(first.attributes, second.attributes, strict=True))
+    scale(1 + 2**-17)
+    third = of_scene()
+    assert not np.array_equal(third.corner_uvs, first.corner_uvs)
+    assert_as_new(third)
+
+
+def test_attributes_are_alike_number_by_number():
+    values = np.array([0.0, 1e6, 0.1, np.nan, np.inf], np.float32)
+    assert kept_meshes._is_alike(values[:3], values[:3] * np.float32(1 + 2**-23))
+    for place, other in enumerate((1e-9, 1e6 + 4, 0.1001)):
+        changed = values[:3].copy()
+        changed[place] = other
+        assert not kept_meshes._is_alike(values[:3], changed)
+    assert not kept_meshes._is_alike(values[2:4], np.array([0.1, 1.0], np.float32))
+    assert not kept_meshes._is_alike(values[4:], np.array([1.0], np.float32))
+    assert not kept_meshes._is_alike(np.array([1, 2]), np.array([1, 3]))

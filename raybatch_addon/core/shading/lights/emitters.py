@@ -57,6 +57,12 @@ class EmissiveTriangles:
     def __len__(self) -> int:
         return len(self.instance)
 
+    @property
+    def bytes(self) -> int:
+        """Memory that they take [bytes]."""
+        arrays = self.instance, self.primitive, self.radiance, self.area, self.program, self.instance_first
+        return sum(each.nbytes for each in arrays)
+
     @functools.cached_property
     def strength_most(self) -> float:
         """The largest of `triangle_strengths`; 0 where there are none."""

@@ -135,7 +135,7 @@ class DeviceScene:
             key = emission_key(scene, emits, features.programs.ops, device.alias)
             triangles = cache.emissive.get(key, lambda: find_emissive_triangles(scene, emitted))
         else:
-            cache.emissive.clear()
+            cache.emissive.drop_large()
             triangles = find_emissive_triangles(scene, emitted)
         lights = upload_lights(
             scene,

@@ -8,7 +8,7 @@ from dataclasses import fields, is_dataclass
 from enum import Enum, auto
 from itertools import chain
 from operator import attrgetter
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -32,6 +32,9 @@ _PLAIN = frozenset((int, float, str, bool, type(None)))
 _UNCHANGING = (Enum, np.number, np.bool_, Notice)
 # All settings but those of random numbers
 settings_but_seeds = attrgetter(*(name for name in SETTINGS if name not in ("seed", "sample_count")))
+settings_but_seed = attrgetter(*(name for name in SETTINGS if name != "seed"))
+
+Made = TypeVar("Made")
 
 
 class KeptScene:
@@ -40,6 +43,7 @@ class KeptScene:
     def __init__(self) -> None:
         self._same: Same | None = None  # the scene of the last render
         self.is_sound = False  # checks of that scene found nothing
+        self._derived: dict[str, tuple[Any, Any]] = {}  # by name: settings, and what follows from them and the scene
         self._asked: tuple = ()
         self._made: DeviceScene | None = None
         self._workers: tuple[tuple, Any] | None = None  # that rendered it, and what they were made for
@@ -47,6 +51,7 @@ class KeptScene:
     def clear(self) -> None:
         """Forget it."""
         self._same, self.is_sound = None, False
+        self._derived = {}
         self._drop()
 
     def _drop(self) -> None:
@@ -65,6 +70,15 @@ class KeptScene:
     def is_known(self) -> bool:
         """Whether the next `begin` can tell that a scene is the same."""
         return self._same is not None
+
+    def derived(self, name: str, settings: RenderSettings, make: Callable[[], Made]) -> Made:
+        """What `make` returns, which follows from the scene that `begin` got and from `settings` but for the seed."""
+        if self._same is None:
+            return make()
+        key, found = settings_but_seed(settings), self._derived.get(name)
+        if found is None or found[0] != key:
+            found = self._derived[name] = key, make()
+        return found[1]
 
     def find(self, asked: tuple) -> DeviceScene | None:
         """What was made of the scene that `begin` got, if it was asked for alike; otherwise that is dropped."""

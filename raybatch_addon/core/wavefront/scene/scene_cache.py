@@ -41,7 +41,7 @@ from ..plan.plan import Method, TracingPlan, cut_rule
 from ..volumes.upload import VolumeCache
 from .fingerprint import Fingerprint
 from .moved_instances import Placed, follow_moved
-from .unchanged import Last
+from .unchanged import Last, LastSmall
 from .world_cache import WorldCache
 
 # Share of a device's free memory that images may take: geometry, rays and the film need the rest
@@ -137,8 +137,8 @@ class SceneCache:
         self.world = WorldCache()
         self.volumes = VolumeCache()
         self.inputs: Last[InputData] = Last()  # what programs of surfaces read of the scene
-        self.emissive: Last[EmissiveTriangles] = Last()
-        self.light_tree: Last[ChoiceTable] = Last()
+        self.emissive: LastSmall[EmissiveTriangles] = LastSmall(lambda made: made.bytes)
+        self.light_tree: LastSmall[ChoiceTable] = LastSmall(choice_tree_bytes)
         self._displaced = DisplacedMeshes()
         self._last: Kept | None = None
         self._lock = threading.Lock()  # the build of a cancelled render may still be going on
@@ -159,11 +159,11 @@ class SceneCache:
         """Memory that the last frame's trees, its programs' inputs and its volumes hold on the device, and the next
         one's may have [bytes].
         """
-        last, inputs, tree = self._last, self.inputs.made, self.light_tree.made
+        last, inputs = self._last, self.inputs.made
         kept = (
             last.device_bytes if last else 0,
             bytes_of(inputs) if inputs else 0,
-            choice_tree_bytes(tree) if tree else 0,
+            self.light_tree.bytes,
             self.volumes.device_bytes,
         )
         return sum(kept)

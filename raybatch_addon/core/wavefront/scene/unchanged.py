@@ -20,6 +20,47 @@ from ...shading.volumes.grids import grid_digest
 Made = TypeVar("Made")
 
 
+# Things up to this size are kept beside the last one, and so many of them in all: view layers of a frame take turns
+_SMALL, _KEPT_MOST = 1 << 20, 12  # [bytes]
+
+
+class LastSmall(Generic[Made]):
+    """The last things that were made of arrays and values: several small ones, or a large one."""
+
+    def __init__(self, size: Callable[[Made], int]) -> None:
+        """`size`: memory that a thing takes [bytes]."""
+        self._size, self._kept = size, list[tuple[Same, Made]]()  # the one that was used last comes last
+
+    def get(self, key: tuple[list[np.ndarray | None], object], make: Callable[[], Made]) -> Made:
+        """What `make()` returns, which is called unless `key` has the values and frozen arrays of an earlier call."""
+        found = next((each for each in reversed(self._kept) if each[0].holds(*key)), None)
+        if found is None:
+            self.drop_large()  # before there are two of them
+            found = Same(*key), make()
+        else:
+            self._kept.remove(found)
+        self._kept = [*self._kept[1 - _KEPT_MOST :], found]
+        return found[1]
+
+    @property
+    def made(self) -> Made | None:
+        """What was used last."""
+        return self._kept[-1][1] if self._kept else None
+
+    @property
+    def bytes(self) -> int:
+        """Memory that all of them take [bytes]."""
+        return sum(self._size(each[1]) for each in self._kept)
+
+    def drop_large(self) -> None:
+        """Forget what is large."""
+        self._kept = [each for each in self._kept if self._size(each[1]) <= _SMALL]
+
+    def clear(self) -> None:
+        """Forget all."""
+        self._kept = []
+
+
 class Last(Generic[Made]):
     """The last thing that was made of arrays and values."""
 

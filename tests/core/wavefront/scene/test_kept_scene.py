@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import warp as wp
 
+from raybatch_addon.core import session as session_module
 from raybatch_addon.core.ahead import prepare
 from raybatch_addon.core.scene.description import (
     Attribute,
@@ -65,6 +66,16 @@ def made(monkeypatch):
     count(DeviceScene, "build")
     count(workers, "make_workers")
     return calls
+
+
+def test_features_are_those_of_a_scene_and_settings(general_kernels, monkeypatch):
+    derived, count = counted_calls(monkeypatch)
+    count(session_module, "derive_features")
+    session, scene = Session(DEVICE), scene_of()
+    for changes in ({}, {"seed": 3}, {"nee": "OFF"}, {"nee": "OFF", "seed": 4}):
+        render(session, scene, **changes)
+    assert len(derived) == 2
+    assert_as_new(render(session, replace(scene, lights=())), replace(scene, lights=()))
 
 
 def render(session, scene, **changes):

@@ -14,6 +14,7 @@ from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.shading.lights import table
 from raybatch_addon.core.wavefront.scene import device_scene, scene_cache
+from raybatch_addon.core.wavefront.scene.unchanged import LastSmall
 from tests.core.wavefront.scene.keeping import counted_calls, frozen_meshes
 from tests.support import scenes
 from tests.support.under_test import DEVICE
@@ -201,3 +202,35 @@ def test_a_uv_map_counts_where_it_is_read(made, reads):
     film = pixels(other, session)
     assert ("upload_inputs" in made) == reads and ("find_emissive_triangles" in made) == reads
     assert film == pixels(other), "as a session renders it that has nothing to keep"
+
+
+def test_small_emitters_and_the_choice_among_them_are_kept_while_scenes_take_turns(made):
+    """View layers of a frame are rendered one after the other, and again in the next frame."""
+    session, scenes_in_turn = Session(DEVICE), [frozen_meshes(scene_of(shining(each))) for each in (2.0, 3.0)]
+    films = [pixels(each, session) for each in scenes_in_turn]
+    assert films[0] != films[1]
+    made.clear()
+    assert [pixels(each, session) for each in scenes_in_turn] == films
+    assert not made
+
+
+def test_of_large_things_the_last_alone_is_kept():
+    kept, made = LastSmall(len), []
+
+    def get(name, size):
+        return kept.get(([], name), lambda: made.append(name) or bytes(size))
+
+    for name in "abab":
+        get(name, 8)
+    get("large", 2 << 20)
+    get("large", 2 << 20)
+    assert made == ["a", "b", "large"]
+    get("a", 8)
+    assert made == ["a", "b", "large"], "small ones lie beside it"
+    get("other", 2 << 20)
+    get("large", 2 << 20)
+    assert made == ["a", "b", "large", "other", "large"]
+    for number in range(20):
+        get(number, 8)
+    get("a", 8)
+    assert made[-1] == "a", "so many are not kept"
