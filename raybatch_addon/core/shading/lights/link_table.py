@@ -11,9 +11,11 @@ from ...scene.passes import LIGHT_GROUP, light_group_passes
 from .choice_table import BLOCK_WIDTH, ChoiceTable
 
 
-def upload_links(scene: Scene, choice: ChoiceTable, triangle_instance: np.ndarray, device: wp.Device) -> None:
+def upload_links(
+    scene: Scene, choice: ChoiceTable, cell_instance: np.ndarray, triangle_instance: np.ndarray, device: wp.Device
+) -> None:
     """Fill in `choice.links` for the emitters of `scene`, whose tree `choice` has; nothing where none is linked.
-    `triangle_instance`: instances of the emissive triangles.
+    `cell_instance`, `triangle_instance`: instances of the cells of volumes, and of the emissive triangles.
     """
     links, instances = choice.links, scene.instances
     links.instance_count = len(instances)
@@ -29,12 +31,16 @@ def upload_links(scene: Scene, choice: ChoiceTable, triangle_instance: np.ndarra
     everything = np.full(1, np.iinfo(np.uint64).max)
     if links_lights(scene):
         of_lamps = np.array([light.light_sets for light in scene.lights], np.uint64)
-        owners = np.concatenate([of_lamps, linked[:, 1], everything])
+        owners = np.concatenate([of_lamps, linked[cell_instance, 1], linked[:, 1], everything])
         links.receiver, links.lights = upload(linked[:, 0].astype(np.int32), int), upload(owners, wp.uint64)
-        links.nodes = upload(_of_nodes(choice, owners, len(scene.lights), triangle_instance), wp.uint64)
+        links.nodes = upload(
+            _of_nodes(choice, owners, len(scene.lights) + len(cell_instance), triangle_instance), wp.uint64
+        )
     if links_shadows(scene):
         of_lamps = np.array([light.shadow_sets for light in scene.lights], np.uint64)
-        owners = np.concatenate([of_lamps, linked[:, 2], everything]) & np.uint64(ALL_SHADOW_SETS)
+        owners = np.concatenate([of_lamps, linked[cell_instance, 2], linked[:, 2], everything]) & np.uint64(
+            ALL_SHADOW_SETS
+        )
         links.shadows = upload(owners.astype(np.int32), int)
     passes = [name.removeprefix(LIGHT_GROUP) for name in light_group_passes(scene.frame.passes)]
     links.group_count = len(passes)
@@ -44,7 +50,8 @@ def upload_links(scene: Scene, choice: ChoiceTable, triangle_instance: np.ndarra
         of_lamps = np.array([light.light_group for light in scene.lights], np.int64)
         placed = instances.light_group
         placed = np.full(len(instances), -1) if placed is None else placed
-        links.group = upload(number_of[np.concatenate([of_lamps, placed, [world.light_group]]).astype(np.int64)], int)
+        owners = np.concatenate([of_lamps, placed[cell_instance], placed, [world.light_group]])
+        links.group = upload(number_of[owners.astype(np.int64)], int)
 
 
 def _of_nodes(choice: ChoiceTable, owners: np.ndarray, first: int, triangle_instance: np.ndarray) -> np.ndarray:
