@@ -9,17 +9,19 @@ from ...scene.description import ALL_SHADOW_SETS, Scene
 from ...scene.linking import links_lights, links_shadows
 from ...scene.passes import LIGHT_GROUP, light_group_passes
 from .choice_table import BLOCK_WIDTH, ChoiceTable
+from .emitters import EmissiveCells
 
 
 def upload_links(
-    scene: Scene, choice: ChoiceTable, cell_instance: np.ndarray, triangle_instance: np.ndarray, device: wp.Device
+    scene: Scene, choice: ChoiceTable, cells: EmissiveCells | None, triangle_instance: np.ndarray, device: wp.Device
 ) -> None:
     """Fill in `choice.links` for the emitters of `scene`, whose tree `choice` has; nothing where none is linked.
-    `cell_instance`, `triangle_instance`: instances of the cells of volumes, and of the emissive triangles.
+    `cells`: those of volumes; `triangle_instance`: instances of the emissive triangles.
     """
     links, instances = choice.links, scene.instances
     links.instance_count = len(instances)
     world = scene.world
+    cell_instance = np.zeros(0, np.int32) if cells is None else cells.instance
 
     def upload(values: np.ndarray, dtype: type) -> wp.array:
         return wp.array(values, dtype=dtype, device=device)

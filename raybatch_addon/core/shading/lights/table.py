@@ -185,8 +185,7 @@ def upload_lights(
     visibility = scene.instances.visibility.astype(np.int32) & int(Visibility.ALL)
     table.instance_visibility = upload(visibility if has_triangles else np.zeros(0, np.int32), int)
     choice = _choice_table(table, records, strength, triangles, scene=scene, geometry=geometry, world=world, keep=keep)
-    of_cells = np.zeros(0, np.int32) if cells is None else cells.instance
-    upload_links(scene, choice, of_cells, triangles.instance, device)
+    upload_links(scene, choice, cells, triangles.instance, device)
     table.choice = upload_struct(choice, device)
     return UploadedLights(table, choice, tree, len(triangles))
 
@@ -311,8 +310,7 @@ def _cell_records(cells: EmissiveCells) -> np.ndarray:
     records["kind"], records["visibility"], records["casts_shadow"] = CELL, int(Visibility.ALL), 1
     records["axis_x"], records["axis_y"], records["axis"] = np.moveaxis(axes, 1, 0)
     records["half_x"], records["half_y"], records["radius"] = length.T
-    records["position"], records["emission"] = cells.middle, 1 / cells.rate[:, None]
-    records["sphere"] = cells.instance
+    records["position"], records["emission"], records["sphere"] = cells.middle, 1 / cells.rate[:, None], cells.instance
     volume = 8 * np.abs(np.linalg.det(cells.half))
     records["spread_scale"] = np.minimum(1 / np.sqrt(cells.rate * volume), _FLOAT.max)
     return records
