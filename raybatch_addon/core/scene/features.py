@@ -339,11 +339,8 @@ def is_emissive(volume: Volume) -> bool:
 
 
 def _has_volume_lights(scene: Scene) -> bool:
-    # where light is linked, counted by groups, or caught, rays alone find that of volumes, and where the world's emits,
-    # in which all others lie
-    apart_from_rays = links_lights(scene) or links_shadows(scene) or catchers(scene).any()
     world = scene.world.volume
-    if apart_from_rays or light_group_passes(scene.frame.passes) or (world is not None and emits_somewhere(world)):
+    if world is not None and emits_somewhere(world):  # all others lie in it
         return False
     return any(material.volume is not None and is_emissive(material.volume) for material in scene.materials)
 

@@ -141,3 +141,26 @@ def test_depth_of_panoramas_is_the_distance(session, kind):
         # faces of a polyhedron are a little nearer than its corners
         least = 3 * math.cos(math.pi / 24) * math.cos(math.pi / 48)
         assert depth[seen].max() < 3 * (1 + 1e-5) and depth[seen].min() > least
+
+
+@pytest.mark.parametrize("size", [0.2, 0.05])
+def test_a_volume_far_from_the_origin_takes_no_more_flights(session, size):
+    """Its cells are hardly wider there than the steps between points, or less wide."""
+
+    def density(builder):
+        x = builder.value("separate_xyz", builder.value("object_coordinates", 0))[0]
+        square = builder.value("math", int(MathOperation.MULTIPLY), False, x, x, 0.0)
+        scaled = builder.value("math", int(MathOperation.MULTIPLY), False, square, 4 / size**3, 0.0)
+        return builder.value("math", int(MathOperation.ADD), False, scaled, 0.5 / size, 0.0)
+
+    films = []
+    for far in (0.0, 2e4):
+        middle = np.array([far, -0.7 * far, 0.3 * far])
+        view = scenes.camera(eye=tuple(middle + (0.05 * size, -2 * size, 0.3 * size)), target=tuple(middle))
+        placed = scenes.box("cube", size), scenes.translation(*middle), filled(absorbing(density))
+        made = scenes.scene([placed], world=1.0, frame=Frame(16, 16), view=view)
+        films.append(session.render(made, RenderSettings(sample_count=16, bounce_max=0)))
+    near, far = (film.passes["Combined"][..., :3].mean() for film in films)
+    assert abs(far - near) < 0.02 * near < 0.02
+    near, far = (film.statistics["rays"]["total"] for film in films)
+    assert far < 1.1 * near

@@ -13,7 +13,6 @@ from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.rays import bytes_per_path
 from tests.renders.volumes.test_volumes import filled, medium, picture
 from tests.support import scenes
-from tests.support.feature_scenes import linked
 
 pytestmark = pytest.mark.usefixtures("general_kernels")
 
@@ -174,9 +173,7 @@ def test_a_scene_without_such_a_volume_does_without_its_code_and_memory():
     assert not derive_features(over_floor(medium(emission=1.0)), settings.replace(nee="OFF")).volume_lights
 
 
-def test_rays_alone_find_light_of_volumes_that_is_linked_or_differs_by_ray():
-    lit = dataclasses.replace(over_floor(medium(emission=1.0)), lights=(scenes.area_light(1.0),))
-    assert not derive_features(linked(lit, lights=True), RenderSettings()).volume_lights
+def test_rays_alone_find_light_of_volumes_that_differs_by_ray():
     builder = ProgramBuilder()
     builder.closure("emission", builder.value("splat", builder.value("light_path")[0]))
     assert not derive_features(over_floor(Volume(program=builder.finish())), RenderSettings()).volume_lights

@@ -115,3 +115,32 @@ def test_a_picture_does_not_change_with_the_size_of_all_there_is(session, size):
     np.testing.assert_allclose(found, expected, rtol=1e-2)
     with_nee, alone = (picture(session, scaled(size), **ONCE, nee=nee).var() for nee in ("ON", "OFF"))
     assert with_nee < alone / 2, (with_nee, alone)
+
+
+@pytest.mark.parametrize("lacking", [Visibility.SHADOW, Visibility.DIFFUSE])
+def test_what_others_are_seen_by_does_not_concern_a_volume(session, lacking):
+    """Beside one that shadow rays or scattered rays do not see, a volume is aimed at."""
+    scene = placed(over_floor(medium(emission=10.0), medium(emission=0.1)), (3.0, 0.0, 3.0))
+    scene = seen_by(scene, ALL & ~int(lacking))
+    with_nee, alone = (picture(session, scene, **ONCE, nee=nee).var() for nee in ("ON", "OFF"))
+    assert with_nee < alone / 10, (with_nee, alone)
+    assert_rays_find_the_same(session, scene, sample_count=1024)
+
+
+BROKEN = {
+    "flat": np.diag([1.0, 1.0, 0.0]),
+    "a line": np.diag([0.0, 0.0, 1.0]),
+    "tiny": np.diag([1e-30] * 3),
+    "huge": np.diag([1e30] * 3),
+}
+
+
+@pytest.mark.parametrize("name", [*BROKEN, "far"])
+def test_a_volume_that_has_no_inside_does_not_concern_others(session, name):
+    scene = over_floor(medium(emission=10.0), medium(emission=1.0))
+    transform = np.array(scene.instances.transform, np.float32)
+    transform[-1, :, :3] = BROKEN.get(name, np.eye(3))
+    transform[-1, :, 3] = (0.0, 0.0, -1e33 if name == "huge" else -1e30 if name == "far" else -5.0)
+    scene = dataclasses.replace(scene, instances=dataclasses.replace(scene.instances, transform=transform))
+    with_nee, alone = (picture(session, scene, **ONCE, nee=nee).var() for nee in ("ON", "OFF"))
+    assert with_nee < alone / 10, (with_nee, alone)

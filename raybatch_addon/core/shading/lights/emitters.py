@@ -38,6 +38,7 @@ class EmissiveCells:
     half: np.ndarray  # from the middle to three of the faces, in rows [m], shape [c, 3, 3]
     rate: np.ndarray  # about how many points along a metre scattered rays look at for light [1/m], shape [c]
     strength: np.ndarray  # intensity, estimated, mean of the channels [W/sr], shape [c]
+    instance: np.ndarray  # that the volume fills, int32, shape [c]
 
     def __len__(self) -> int:
         return len(self.rate)

@@ -9,15 +9,19 @@ from ...scene.description import ALL_SHADOW_SETS, Scene
 from ...scene.linking import links_lights, links_shadows
 from ...scene.passes import LIGHT_GROUP, light_group_passes
 from .choice_table import BLOCK_WIDTH, ChoiceTable
+from .emitters import EmissiveCells
 
 
-def upload_links(scene: Scene, choice: ChoiceTable, triangle_instance: np.ndarray, device: wp.Device) -> None:
+def upload_links(
+    scene: Scene, choice: ChoiceTable, cells: EmissiveCells | None, triangle_instance: np.ndarray, device: wp.Device
+) -> None:
     """Fill in `choice.links` for the emitters of `scene`, whose tree `choice` has; nothing where none is linked.
-    `triangle_instance`: instances of the emissive triangles.
+    `cells`: those of volumes; `triangle_instance`: instances of the emissive triangles.
     """
     links, instances = choice.links, scene.instances
     links.instance_count = len(instances)
     world = scene.world
+    cell_instance = np.zeros(0, np.int32) if cells is None else cells.instance
 
     def upload(values: np.ndarray, dtype: type) -> wp.array:
         return wp.array(values, dtype=dtype, device=device)
@@ -29,12 +33,16 @@ def upload_links(scene: Scene, choice: ChoiceTable, triangle_instance: np.ndarra
     everything = np.full(1, np.iinfo(np.uint64).max)
     if links_lights(scene):
         of_lamps = np.array([light.light_sets for light in scene.lights], np.uint64)
-        owners = np.concatenate([of_lamps, linked[:, 1], everything])
+        owners = np.concatenate([of_lamps, linked[cell_instance, 1], linked[:, 1], everything])
         links.receiver, links.lights = upload(linked[:, 0].astype(np.int32), int), upload(owners, wp.uint64)
-        links.nodes = upload(_of_nodes(choice, owners, len(scene.lights), triangle_instance), wp.uint64)
+        links.nodes = upload(
+            _of_nodes(choice, owners, len(scene.lights) + len(cell_instance), triangle_instance), wp.uint64
+        )
     if links_shadows(scene):
         of_lamps = np.array([light.shadow_sets for light in scene.lights], np.uint64)
-        owners = np.concatenate([of_lamps, linked[:, 2], everything]) & np.uint64(ALL_SHADOW_SETS)
+        owners = np.concatenate([of_lamps, linked[cell_instance, 2], linked[:, 2], everything]) & np.uint64(
+            ALL_SHADOW_SETS
+        )
         links.shadows = upload(owners.astype(np.int32), int)
     passes = [name.removeprefix(LIGHT_GROUP) for name in light_group_passes(scene.frame.passes)]
     links.group_count = len(passes)
@@ -44,7 +52,8 @@ def upload_links(scene: Scene, choice: ChoiceTable, triangle_instance: np.ndarra
         of_lamps = np.array([light.light_group for light in scene.lights], np.int64)
         placed = instances.light_group
         placed = np.full(len(instances), -1) if placed is None else placed
-        links.group = upload(number_of[np.concatenate([of_lamps, placed, [world.light_group]]).astype(np.int64)], int)
+        owners = np.concatenate([of_lamps, placed[cell_instance], placed, [world.light_group]])
+        links.group = upload(number_of[owners.astype(np.int64)], int)
 
 
 def _of_nodes(choice: ChoiceTable, owners: np.ndarray, first: int, triangle_instance: np.ndarray) -> np.ndarray:

@@ -52,7 +52,7 @@ class LightRecord:
     visibility: int  # `Visibility` bits
     casts_shadow: int
     delta: int  # 1: no ray meets it by chance
-    sphere: int  # POINT, SPOT: 1: a sphere; 0: a disk that faces the shaded point
+    sphere: int  # POINT, SPOT: 1: a sphere; 0: a disk that faces the shaded point; CELL: instance of its volume
     program: int  # 1: `emission` is multiplied by the result of a program
     position: wp.vec3  # [m]
     axis_x: wp.vec3  # unit
@@ -181,7 +181,7 @@ def upload_lights(
     visibility = scene.instances.visibility.astype(np.int32) & int(Visibility.ALL)
     table.instance_visibility = upload(visibility if has_triangles else np.zeros(0, np.int32), int)
     choice = _choice_table(table, records, strength, triangles, scene=scene, geometry=geometry, world=world, keep=keep)
-    upload_links(scene, choice, triangles.instance, device)
+    upload_links(scene, choice, cells, triangles.instance, device)
     table.choice = upload_struct(choice, device)
     return UploadedLights(table, choice, len(triangles))
 
@@ -306,7 +306,7 @@ def _cell_records(cells: EmissiveCells) -> np.ndarray:
     records["kind"], records["visibility"], records["casts_shadow"] = CELL, int(Visibility.ALL), 1
     records["axis_x"], records["axis_y"], records["axis"] = np.moveaxis(axes, 1, 0)
     records["half_x"], records["half_y"], records["radius"] = length.T
-    records["position"], records["emission"] = cells.middle, 1 / cells.rate[:, None]
+    records["position"], records["emission"], records["sphere"] = cells.middle, 1 / cells.rate[:, None], cells.instance
     volume = 8 * np.abs(np.linalg.det(cells.half))
     records["spread_scale"] = np.minimum(1 / np.sqrt(cells.rate * volume), _FLOAT.max)
     return records

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from ...shading.lights.emitters import CELL
 from ...shading.lights.table import LightTable
 from ..rays import Paths
 from .state import Life
@@ -45,7 +46,11 @@ def is_in_vacuum(paths: Paths, path: int, inside: wp.vec4i) -> bool:
 
 @wp.func
 def shines_on_copy(table: LightTable, paths: Paths, path: int, emitter: int) -> bool:
-    """Whether light of `emitter` comes to a path: where that is a copy, of surfaces those that are catchers shine."""
-    if emitter < table.light_count or emitter == table.world_emitter or not is_copy(paths, path):
+    """Whether light of `emitter` comes to a path: where that is a copy, of objects those that are catchers shine."""
+    if emitter == table.world_emitter or not is_copy(paths, path):
         return True
+    if emitter < table.light_count:
+        if table.lights[emitter].kind != wp.static(CELL):
+            return True
+        return paths.passes[0].inputs.is_catcher[table.lights[emitter].sphere] != 0
     return paths.passes[0].inputs.is_catcher[table.triangle_instance[emitter - table.light_count]] != 0

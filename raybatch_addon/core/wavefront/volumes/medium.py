@@ -6,6 +6,7 @@ import functools
 
 import warp as wp
 
+from ...float32 import UNIT_ROUNDOFF
 from ...programs.point import IN_VOLUME, ShadingPoint
 from ...programs.run import make_run
 from ...programs.uniform import is_uniform
@@ -158,7 +159,8 @@ def varies_along(volumes: VolumeData, inside: wp.vec4i) -> bool:
 @wp.func
 def bound_ahead(volumes: VolumeData, inside: wp.vec4i, origin: wp.vec3, direction: wp.vec3, time: float) -> Reach:
     """A bound of the extinction ahead of `origin` at `time`: of what programs give an estimate, of constants their sum.
-    Where constants emit light, there is a flight a cell at least.
+    Where constants emit light, there is a flight a cell at least. It is taken to hold as far as the next point that
+    float32 tells from `origin`, which may be cells ahead far from the world's origin.
     """
     reach = Reach()
     emits = bool(False)
@@ -222,6 +224,8 @@ def bound_ahead(volumes: VolumeData, inside: wp.vec4i, origin: wp.vec3, directio
                 reach.length = wp.min(reach.length, length)
     if emits:
         reach.bound = wp.max(reach.bound, cells_per_length)
+    largest = wp.max(wp.abs(origin[0]), wp.max(wp.abs(origin[1]), wp.abs(origin[2])))
+    reach.length = wp.max(reach.length, wp.static(2.0 * UNIT_ROUNDOFF) * largest)
     return reach
 
 

@@ -37,12 +37,12 @@ from ..stages.surface.aim import AimFeatures, is_aimed, make_choose_light
 from ..stages.surface.vertex import Vertex
 from ..stages.work import TileWork
 from .along import Sought, sought_in_bounds, sought_in_constant, towards_light
-from .emission.weigh import Seen, make_weighed, make_weighed_constant, weighed_grid
+from .emission.weigh import Seen, is_unaimed, make_weighed, make_weighed_constant, weighed_grid
 from .features import VolumeFeatures
 from .lights import Way, make_lights_ahead
 from .medium import LOBES_MOST, PHASE_LOBE_FLOATS, Coefficients, make_constant_medium, may_vary, varies_along
 from .segment import constant_way, ray_point, scattering_shares
-from .table import AIMED, BACK, FRONT, GOES_ON, IN_VACUUM, VolumeData, innermost_instance, is_empty
+from .table import AIMED, BACK, FRONT, GOES_ON, IN_VACUUM, UNAIMED, VolumeData, innermost_instance, is_empty
 from .track import SCATTERED, STOPPED, Track, make_track
 from .vertex import make_aim_in_volume, make_scattered
 
@@ -147,7 +147,7 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
             paths.status[path] = status
             # those from behind this piece have other random numbers
             volumes.state.segment[path] = volumes.state.segment[path] + 1
-            volumes.state.lit[path] = volumes.state.lit[path] & wp.static(GOES_ON)
+            volumes.state.lit[path] = volumes.state.lit[path] & wp.static(GOES_ON | UNAIMED)
             if not goes_on:
                 reach_end(data, volumes, paths, rays, path, status)
                 return
@@ -177,7 +177,12 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
         v.side = wp.uint32(VOLUME_SIDE)
         if wp.static(features.light_links):
             v.receiver = receiver_of(data.lights, innermost_instance(inside, volumes.volume_count))
-        volumes.state.lit[path] = 0
+        noted = int(0)
+        if wp.static(features.volume_lights):
+            noted = volumes.state.lit[path] & wp.static(UNAIMED)
+            if before == 0.0:
+                noted = wp.where(is_unaimed(volumes, inside), wp.static(UNAIMED), 0)
+        volumes.state.lit[path] = noted
         event = int(0)
         reach = length
         left = throughput
@@ -194,7 +199,7 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
             sought = Sought()
             seen = Seen()
             if wp.static(features.volume_lights):
-                seen.pdf = pdf
+                seen.pdf = wp.where(noted == 0, pdf, 0.0)
                 seen.point = left_point(paths, path, origin - before * direction)
             changes = bool(False)
             if wp.static(varies):
@@ -238,7 +243,7 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
                         lit_lobes[k] = lobes[k]
                 way = constant_way(m, far, throughput, scatters, seeks, sought, u_lit, u)
                 if wp.static(features.volume_lights):
-                    if pdf > 0.0 and has_light(m.emission) and weighed_grid(volumes, inside) >= 0:
+                    if seen.pdf > 0.0 and has_light(m.emission) and weighed_grid(volumes, inside) >= 0:
                         way.emitted = weighed_constant(volumes, data.lights, seen, inside, begin, m, far, stream)
             medium = way.medium
             event = way.event
@@ -267,7 +272,7 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
                         # it comes from behind one scattering more
                         sent = wp.static(_SHADOW_NEW | _STRAIGHT)
                         paths.passed[path] = paths.passed[path] + 1
-                        volumes.state.lit[path] = wp.static(AIMED)
+                        volumes.state.lit[path] = noted | wp.static(AIMED)
 
         if wp.static(features.light_hits):
             ahead = Way()

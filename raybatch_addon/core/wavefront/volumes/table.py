@@ -15,7 +15,9 @@ INSIDE_MOST = 4
 IN_VACUUM = -1
 # How a path met the surface where its ray ended: `MediaState.side`
 FRONT, BACK = 1, 2
-AIMED, GOES_ON = 1, 2
+AIMED, GOES_ON, UNAIMED = 1, 2, 4
+# In place of a grid of cells: `VolumeLights.of`
+UNLIKE = -2
 
 
 @wp.struct
@@ -60,7 +62,11 @@ class VolumeLights:
     """Volumes as emitters, by cells; no entries where none is."""
 
     emits: wp.array(dtype=int)  # of each volume: 1: it may emit, whether it is an emitter or not
-    of: wp.array(dtype=int)  # entry in `grids` of each code of `MediaState.inside`, less 1; -1: it is no emitter
+    # entry in `grids` of each code of `MediaState.inside`, less 1; -1: it is no emitter; UNLIKE: it may emit, and some
+    # of the rays by which light of volumes is found do not see it
+    of: wp.array(dtype=int)
+    has_unlike: int  # 1: there is such a volume
+    innermost: int  # 1: a volume is an emitter only where it is the innermost, as that owns the light of all of them
     grids: wp.array(dtype=EmissionGrid)
     emitters: wp.array(dtype=int)  # emitter of each cell; -1: none
     first: int  # the first emitter that is a cell
@@ -79,7 +85,8 @@ class MediaState:
     shadow_segment: wp.array(dtype=int)  # the same of its shadow ray
     scattered: wp.array(dtype=int)  # scattering events in volumes so far
     # AIMED: light has been looked for along the piece on which the extending ray is back, which is decided next;
-    # GOES_ON: lights that rays meet have been counted to the end of that piece
+    # GOES_ON: lights that rays meet have been counted to the end of that piece; UNAIMED: where the ray began, no volume
+    # was aimed at
     lit: wp.array(dtype=int)
 
 

@@ -19,7 +19,7 @@ from ..stages.generate import pixel_sample
 from ..stages.limits import PathLimits
 from ..stages.work import TileWork
 from .cross import behind_surface
-from .emission.weigh import emitting_code
+from .emission.weigh import emitting_code, is_unaimed
 from .features import VolumeFeatures
 from .scatter import SEGMENTS_MOST
 from .segment import make_passed, ray_point
@@ -47,6 +47,11 @@ def make_transmit(features: VolumeFeatures) -> wp.Function:
         inside = volumes.state.shadow_inside[path]
         number = volumes.state.shadow_segment[path]
         volumes.state.shadow_segment[path] = number + 1
+        if wp.static(features.volume_lights):
+            if number == 0 and paths.light_cell.shape[0] > 0:
+                if paths.light_cell[path] >= 0 and is_unaimed(volumes, inside):
+                    paths.shadow_light[path] = wp.vec3(0.0)
+                    return
         direction = rays.direction[slot]
         hit = bool(rays.hit_instance[slot] >= 0)
         length = rays.t_max[slot]

@@ -15,7 +15,9 @@ from ...programs.table import store_programs, upload_programs
 from ...scene.description import ClosureKind, Mesh, Scene, Volume
 from ...scene.features import SceneFeatures, narrow, scene_volumes
 from ...scene.geometry import Geometry
+from ...scene.linking import links_lights
 from ...scene.motion import apart
+from ...scene.passes import light_group_passes
 from ...shading.bsdf.materials import ClosureRecord, fill_record
 from ...shading.images.textures import ImageTable
 from ...shading.lights.emitters import EmissiveCells
@@ -155,10 +157,12 @@ def _emission(
     `data`. `key`: of the bounds.
     """
     arrays, values = key
-    seen = scene.instances.visibility.tobytes(), apart(scene).tobytes()
+    links = scene.instances.links
+    seen = scene.instances.visibility.tobytes(), apart(scene).tobytes(), None if links is None else links.tobytes()
+    owned = links_lights(scene), bool(light_group_passes(scene.frame.passes))
     closures = tuple(volume.closures for volume in scene_volumes(scene))
     found = kept.get(
-        (arrays, (values, closures, seen)),
+        (arrays, (values, closures, seen, owned)),
         lambda: find_cells(
             data, scene, volume_of, lambda asked, count: launch_bound(features, asked, count, device), device
         ),

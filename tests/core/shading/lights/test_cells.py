@@ -42,7 +42,7 @@ def cell_kernel(volumes: VolumeData, points: wp.array(dtype=wp.vec3), found: wp.
 
 def sampled(half: np.ndarray, middle: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
     """Points of a cell, as ways from 0 [m], float64, shape [COUNT, 3], and their densities by both functions."""
-    cells = EmissiveCells(middle[None], half[None], np.array([rate]), np.ones(1))
+    cells = EmissiveCells(middle[None], half[None], np.array([rate]), np.ones(1), np.zeros(1, np.int32))
     table = upload_lights(scene_of(), DEVICE, cells=cells).table
     ways = wp.zeros(COUNT, dtype=wp.vec3, device=DEVICE)
     pdf = wp.zeros(COUNT, dtype=wp.vec2, device=DEVICE)

@@ -3,9 +3,6 @@
 How bright a cell is, is estimated at some points of it: by the program of the volume, and by the share of the points
 that lie within its surface. What is brighter than estimated is aimed at more seldom, and what no point shows is left to
 scattered rays. So are volumes that move.
-
-Shadow rays and scattered rays must agree on which volumes they are in, and so must see the same of those that may emit:
-where they do not, no volume is aimed at, as a ray that begins in one that it does not see never leaves it.
 """
 
 from __future__ import annotations
@@ -18,15 +15,17 @@ import warp as wp
 
 from ....device.devices import load_module
 from ....device.kernel import KERNEL_OPTIONS
-from ....scene.description import SCATTERED_RAYS, ClosureKind, Mesh, Scene, Visibility
-from ....scene.features import emits_somewhere, is_emissive, scene_volumes
-from ....scene.motion import apart
+from ....scene.description import ClosureKind, Mesh, Scene
+from ....scene.features import emits_somewhere, scene_volumes
+from ....scene.linking import links_lights
+from ....scene.passes import light_group_passes
 from ....shading.lights.emitters import EmissiveCells
 from ....shading.sequences.keys import mix_bits, sequence_number
 from ....shading.volumes.enclosures import AHEAD, FARTHEST
-from ..bounds import CELLS_MOST, Bounded, bounded_volumes
+from ..bounds import CELLS_MOST, Bounded
 from ..grids import density_scale
-from ..table import BoundWork, EmissionGrid, VolumeData, VolumeLights
+from ..table import UNLIKE, BoundWork, EmissionGrid, VolumeData, VolumeLights
+from .aimed import aimed_volumes
 from .weigh import POINTS
 
 # Cells along each axis at most, and cells of all volumes together
@@ -34,8 +33,6 @@ _EMITTERS_ALONG, _EMITTERS_TOGETHER = 16, 1 << 16
 _POINTS = 8
 # Share of its own brightness that a cell gives to the cells around it, whose points may have missed something
 _SPREAD = 0.1
-# The rays by which light of volumes is found
-_LIGHT_RAYS = SCATTERED_RAYS | int(Visibility.SHADOW)
 
 
 @dataclass(frozen=True)
@@ -48,6 +45,7 @@ class FoundCells:
     emitters: np.ndarray  # from 0 on
     codes: np.ndarray
     emits: np.ndarray
+    innermost: bool
 
     def upload(self, first: int, device: wp.Device) -> VolumeLights:
         """The table for kernels; `first`: the first emitter that is a cell."""
@@ -59,6 +57,7 @@ class FoundCells:
         lights.emitters = wp.array(shifted, dtype=int, device=device)
         lights.codes = wp.array(self.codes, dtype=int, device=device)
         lights.first = first
+        lights.has_unlike, lights.innermost = int(bool((self.of == UNLIKE).any())), int(self.innermost)
         return lights
 
 
@@ -89,27 +88,18 @@ def find_cells(
     launch: Callable[[VolumeData, int], None],
     device: wp.Device,
 ) -> FoundCells | None:
-    """The cells of `volumes` of `scene`, of which everything else is there; None where none emits, or some rays do not
-    see one that may.
+    """The cells of `volumes` of `scene`, of which everything else is there; None where none is aimed at.
 
     `volume_of`: volume of each material, -1: none. `launch(volumes, cell_count)`: of `make_bound` with emission.
     """
     filling = scene_volumes(scene)
-    may_emit = [emits_somewhere(volume) for volume in filling]
-    shining = bounded_volumes(scene, volume_of, may_emit, np.zeros((2, 3)))
-    seen = scene.instances.visibility & int(Visibility.ALL)
-    agrees = (seen & _LIGHT_RAYS == _LIGHT_RAYS) | (seen == 0)
-    if not all(agrees[each.instance] for each in shining):
-        return None
-    aimed = [is_emissive(volume) for volume in filling]
-    aimed_at = (seen > 0) & ~apart(scene)
-    bounded = [each for each in shining if aimed[each.volume] and aimed_at[each.instance]]
-    bounded = [each for each in bounded if abs(np.linalg.det(each.to_world[:, :3])) > 0]
+    bounded, unlike = aimed_volumes(scene, volume_of)
     if not bounded:
         return None
     count = int(np.clip((_EMITTERS_TOGETHER / len(bounded)) ** (1 / 3), 1, _EMITTERS_ALONG))
     grids = np.zeros(len(bounded), EmissionGrid.numpy_dtype())
     of = np.full(max(len(scene.instances), 1) * volumes.volume_count, -1, np.int32)
+    of[[each.instance * volumes.volume_count + each.volume for each in unlike]] = UNLIKE
     thinner = density_scale(scene)
     shares: dict[tuple, np.ndarray] = {}
     parts, emitters, codes, total = [], [], [], 0
@@ -145,7 +135,7 @@ def find_cells(
         place = np.stack(np.unravel_index(bright, (count,) * 3), 1)
         middle = origin + (place + 0.5) / count @ edges.T
         half = np.broadcast_to(edges.T / (2 * count), (len(bright), 3, 3))
-        parts.append((middle, half, rate[bright], strength[bright]))
+        parts.append((middle, half, rate[bright], strength[bright], np.full(len(bright), each.instance, np.int32)))
         numbers = np.full(count**3, -1)
         numbers[bright] = total + np.arange(len(bright))
         emitters.append(numbers)
@@ -154,7 +144,9 @@ def find_cells(
     if not total:
         return None
     cells = EmissiveCells(*(np.concatenate(values) for values in zip(*parts)))
-    return FoundCells(cells, of, grids, np.concatenate(emitters), np.concatenate(codes), np.array(may_emit, np.int32))
+    may_emit = np.array([emits_somewhere(volume) for volume in filling], np.int32)
+    owned = links_lights(scene) or bool(light_group_passes(scene.frame.passes))
+    return FoundCells(cells, of, grids, np.concatenate(emitters), np.concatenate(codes), may_emit, owned)
 
 
 def _slots(scene: Scene, each: Bounded, volume_of: np.ndarray) -> np.ndarray:

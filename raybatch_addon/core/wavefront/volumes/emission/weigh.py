@@ -20,7 +20,7 @@ from ....shading.volumes.numbers import EMISSION_STREAM, stream_number
 from ..along import Sought, lit_length
 from ..features import VolumeFeatures
 from ..medium import Coefficients, passes
-from ..table import INSIDE_MOST, VolumeData, entry
+from ..table import INSIDE_MOST, UNLIKE, VolumeData, entry, innermost_instance
 
 # Points along a piece of a ray at which a medium that is the same everywhere is looked at
 POINTS = 2
@@ -31,13 +31,14 @@ class Seen:
     """Where a ray scattered last, from where it may meet light that was aimed at too."""
 
     point: LitPoint
-    pdf: float  # density of its direction there [1/sr]; 0: light sampling had no part
+    pdf: float  # density of its direction there [1/sr]; 0: light sampling of volumes had no part
 
 
 @wp.func
 def emitting_code(volumes: VolumeData, inside: wp.vec4i) -> int:
     """The code of the volume that alone may emit where a ray is in these, as in `MediaState.inside`; 0: there is none,
-    or there are several, whose light is left to rays. That of the world emits nothing where volumes are emitters.
+    or there are several, whose light is left to rays. That of the world emits nothing where volumes are emitters. Where
+    light has owners, that of the innermost volume owns it.
     """
     code = int(0)
     count = int(0)
@@ -47,7 +48,23 @@ def emitting_code(volumes: VolumeData, inside: wp.vec4i) -> int:
             if volumes.lights.emits[found[1]] != 0:
                 count += 1
                 code = inside[place]
+    if count == 1 and volumes.lights.innermost != 0:
+        if innermost_instance(inside, volumes.volume_count) != (code - 1) / volumes.volume_count:
+            return 0
     return wp.where(count == 1, code, 0)
+
+
+@wp.func
+def is_unaimed(volumes: VolumeData, inside: wp.vec4i) -> bool:
+    """Whether no volume is aimed at from within these: a ray that begins in one that it does not see never leaves it,
+    so that shadow rays and scattered rays do not agree about what lies ahead.
+    """
+    if volumes.lights.has_unlike != 0:
+        for place in range(wp.static(INSIDE_MOST)):
+            if inside[place] > 0:
+                if volumes.lights.of[inside[place] - 1] == wp.static(UNLIKE):
+                    return True
+    return False
 
 
 @wp.func
