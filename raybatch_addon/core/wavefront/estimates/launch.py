@@ -16,7 +16,7 @@ from ...shading.lights.table import LightTable
 from ...shading.lights.world_sun import directions_within
 from ..scene.shading_data import SceneData
 from .kernels import estimate_kernel
-from .triangles import POINTS
+from .triangles import TRIANGLE_POINTS
 from .work import Estimate, EstimateWork
 
 # Directions in which all points of a triangle are looked at; runs of programs for all triangles together, about: in
@@ -41,7 +41,7 @@ def emission_of_triangles(
     data: SceneData, features: SceneFeatures, device: wp.Device, instance: np.ndarray, primitive: np.ndarray
 ) -> np.ndarray:
     """Radiance that triangles count for whose material is a program, float32, shape [n, 3] (`triangles.py`)."""
-    directions = min(_DIRECTIONS_MOST, _TRIANGLE_RUNS // (2 * POINTS * max(len(instance), 1)))
+    directions = min(_DIRECTIONS_MOST, _TRIANGLE_RUNS // (2 * TRIANGLE_POINTS * max(len(instance), 1)))
     radiance = wp.zeros(len(instance), dtype=wp.vec3, device=device)
     instance, primitive = (wp.array(each, dtype=int, device=device) for each in (instance, primitive))
 
@@ -49,7 +49,7 @@ def emission_of_triangles(
         work = EstimateWork()
         work.instance, work.primitive = instance[first:end], primitive[first:end]
         work.radiance = radiance[first:end]
-        work.points, work.every_point = max(directions, POINTS), int(directions >= POINTS)
+        work.points, work.every_point = max(directions, TRIANGLE_POINTS), int(directions >= TRIANGLE_POINTS)
         return work, end - first
 
     _launch_in_parts(Estimate.TRIANGLES, data, features, device, len(instance), work_of)

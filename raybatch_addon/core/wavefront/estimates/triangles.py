@@ -15,7 +15,7 @@ from .work import EstimateWork
 
 # Points of a triangle whose mean is its emission: rows of a grid
 _ROWS = 4
-POINTS = _ROWS * (_ROWS + 1) // 2
+TRIANGLE_POINTS = _ROWS * (_ROWS + 1) // 2
 _GOLDEN_ANGLE = 2.3999632  # between directions around the normal [radians]
 
 
@@ -58,7 +58,7 @@ def make_triangle_estimate(programs: ProgramFeatures, instancing: bool, smooth_n
         # counts are variables: unrolled, the loops would hold an interpreter for each point
         each = int(1)
         if work.every_point != 0:
-            each = int(POINTS)
+            each = int(TRIANGLE_POINTS)
         sides = int(2)
         for k in range(work.points + 1):
             square = (float(k) + 0.5) / float(work.points)
@@ -68,7 +68,7 @@ def make_triangle_estimate(programs: ProgramFeatures, instancing: bool, smooth_n
             seen_front = wp.vec3(0.0)
             seen_back = wp.vec3(0.0)
             for of_direction in range(each):
-                row, column = int(0), (k + of_direction) % POINTS
+                row, column = int(0), (k + of_direction) % TRIANGLE_POINTS
                 if each == 1 and k == work.points:  # straight ahead from the middle
                     column = int(_ROWS + 1)
                 while row + column >= _ROWS:
