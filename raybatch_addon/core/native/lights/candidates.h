@@ -117,21 +117,18 @@ auto distant_estimate = [&](int number) -> float {
 // what may be hidden by itself counts, at the top, as the geometric mean of its light and of that with a part of all
 // light added.
 float hidden = 0.0f;  // that part; 0 until `weigh_top`, and where there is nothing to be compared with
+#if LOCAL
 // What `light` counts for, as a part of a group that brings `group`.
 auto weighed = [&](auto light, auto group) {
-#if LOCAL
     const auto all = most(group, light * 0.0f + LEAST);
     return light * (root(all + hidden) / root(all));
-#else
-    const float all = wp::max(group, LEAST);
-    return light * (wp::sqrt(all + hidden) / wp::sqrt(all));
-#endif
 };
+#endif
 #if SUNS || WORLD
 float first_distant[KEPT];  // estimates of the first distant emitters
 auto counted_distant = [&](int number) -> float {
     const float light = number < KEPT ? first_distant[number] : distant_estimate(number);
-    return weighed(light, light);
+    return wp::sqrt(light) * wp::sqrt(light + hidden);  // as a group of itself alone
 };
 auto all_distant = [&]() {
     float total = 0.0f;
