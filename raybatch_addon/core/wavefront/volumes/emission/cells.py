@@ -21,7 +21,7 @@ from ....shading.lights.emitters import EmissiveCells
 from ..bounds import peaks_of
 from ..table import PART, UNLIKE, EmissionGrid, VolumeData, VolumeLights
 from .aimed import aimed_volumes
-from .estimate import FLAT, Estimates, Looked, CellBoxes
+from .estimate import FLAT, CellBoxes, Estimates, Looked
 
 # Cells along each axis at most, and cells of all volumes together
 _EMITTERS_ALONG, _EMITTERS_TOGETHER = 16, 1 << 16
