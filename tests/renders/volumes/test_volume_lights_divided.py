@@ -20,7 +20,6 @@ pytestmark = pytest.mark.usefixtures("general_kernels")
 
 EMISSION = 100.0
 ONCE = dict(bounce_max=0, sample_count=64)
-# In rows of 16 cells of this box, some lie across the faces of cells
 CUBES, CUBE, SPAN = 12, 0.06, 6.0
 
 
