@@ -27,7 +27,7 @@ from ...shading.volumes.grids import CUBE_CORNERS, TILE, is_scalar, tiles_of
 from ...shading.volumes.phase import PhaseLobe
 from .medium import LOBES_MOST, PHASE_LOBE_FLOATS, WORLD_REACH, make_medium
 from .segment import ray_point
-from .table import Bounds, BoundWork, VolumeData
+from .table import BoundBox, Bounds, BoundWork, VolumeData
 
 # Cells along each axis at most, cells of all volumes together, and points of a cell
 CELLS_MOST, CELLS_TOGETHER = 32, 1 << 20
@@ -61,55 +61,61 @@ class Bounded:
 
 @functools.cache
 def make_bound(programs: ProgramFeatures, emission: bool = False) -> wp.Function:
-    """Function (volumes, i: int): finds the largest extinction at points of cell `i` of the box that is `asked` for,
-    and the mean `emission`.
+    """Function (volumes, i: int): finds the largest extinction at points of cell `i` of the boxes that are `asked` for,
+    and what is known of its `emission`.
     """
     medium = make_medium(programs)
 
     @wp.func
     def bound(volumes: VolumeData, i: int):
         cells = volumes.asked.cells
+        per_box = cells * cells * cells
+        box = volumes.asked.boxes[i / per_box]
+        cell = i % per_box
+        inside = wp.vec4i(box.code, 0, 0, 0)
         floats = wp.zeros(wp.static(LOBES_MOST * PHASE_LOBE_FLOATS), dtype=float)
         lobes = wp.array(ptr=address_of(floats), shape=(wp.static(LOBES_MOST),), dtype=PhaseLobe)
-        z = i % cells
-        y = (i / cells) % cells
-        x = i / (cells * cells)
+        z = cell % cells
+        y = (cell / cells) % cells
+        x = cell / (cells * cells)
         largest = float(0.0)
-        emitted = float(0.0)
+        emitted = wp.vec3(0.0)
         points = int(_POINTS)
-        more = volumes.asked.places.shape[0] / (cells * cells * cells)
+        more = volumes.asked.places.shape[0] / (volumes.asked.boxes.shape[0] * per_box)
         for k in range(points + more):
-            seed = mix_bits(wp.uint32(i * points + k))
+            seed = mix_bits(wp.uint32(cell * points + k))
             u = wp.vec3(
                 float(x) + sequence_number(seed),
                 float(y) + sequence_number(mix_bits(seed + wp.uint32(1))),
                 float(z) + sequence_number(mix_bits(seed + wp.uint32(2))),
             )
-            place = volumes.asked.origin + volumes.asked.edges * (u / float(cells))
+            place = box.origin + box.edges * (u / float(cells))
             if k >= points:
                 place = volumes.asked.places[i * more + k - points]
             time = float(0.0)
-            if volumes.asked.moving >= 0:
+            if box.moving >= 0:
                 time = wp.min(float(k) / float(points - 1), 1.0)
-                place = transform_point(transform_at(volumes.nodes.geometry, volumes.asked.moving, time), place)
+                place = transform_point(transform_at(volumes.nodes.geometry, box.moving, time), place)
             ray = int(0)
             while ray < volumes.asked.rays:
                 kind = int(wp.static(int(Visibility.VOLUME_SCATTER)))
                 if ray / 2 < wp.static(_KINDS):
                     kind = int(1) << (ray / 2)
                 point = ray_point(place, wp.vec3(0.0, 0.0, 1.0), kind, ray % 2, time)
-                m = medium(volumes, volumes.asked.inside, point, lobes)
+                m = medium(volumes, inside, point, lobes)
                 if wp.static(emission):
-                    emitted += (m.emission[0] + m.emission[1] + m.emission[2]) / wp.static(3.0 * _POINTS)
+                    light = wp.min((m.emission[0] + m.emission[1] + m.emission[2]) / 3.0, 1.0e18)
+                    dims = wp.min((m.extinction[0] + m.extinction[1] + m.extinction[2]) / 3.0, 1.0e18)
+                    emitted += wp.vec3(light, light * light, dims) / wp.static(float(_POINTS))
                 for axis in range(3):
                     # an emission alone must be met too, however little is there
-                    light = wp.where(m.emission[axis] > 0.0, volumes.asked.flights, 0.0)
-                    largest = wp.max(largest, wp.max(m.extinction[axis], light))
+                    least = wp.where(m.emission[axis] > 0.0, box.flights, 0.0)
+                    largest = wp.max(largest, wp.max(m.extinction[axis], least))
                 ray += 1
         if wp.static(emission):
-            if volumes.asked.emission != 0:
-                volumes.asked.found[cells * cells * cells + i] = wp.min(emitted, 1.0e18)
-        volumes.asked.found[i] = wp.min(largest, 1.0e18)
+            if volumes.asked.emitted.shape[0] > 0:
+                volumes.asked.emitted[i] = emitted
+        volumes.asked.found[box.first + cell] = wp.min(largest, 1.0e18)
 
     return bound
 
@@ -147,42 +153,50 @@ def find_bounds(
     count = cells**3
     found = wp.zeros(len(bounded) * count, dtype=float, device=device)
     grids = np.zeros(len(bounded), Bounds.numpy_dtype())
-    most = np.zeros(len(bounded))
+    boxes = np.zeros(len(bounded), BoundBox.numpy_dtype())
+    low = np.stack([each.box[0] for each in bounded])
+    extent = np.stack([np.abs(each.box).max() for each in bounded])
+    size = np.maximum(
+        np.stack([np.ptp(each.box, axis=0) for each in bounded]), 1e-6 * np.maximum(extent, 1e-12)[:, None]
+    )
+    placed = np.stack([each.to_world for each in bounded])
+    edge = np.linalg.norm(placed[:, :, :3] * size[:, None], axis=1).max(1) / cells
+    # bounds of what moves go with it
+    placed[[each.moves for each in bounded]] = np.eye(3, 4)
+    origin = np.einsum("nij,nj->ni", placed[:, :, :3], low) + placed[:, :, 3]
+    edges = placed[:, :, :3] * size[:, None]
+    boxes["origin"], boxes["edges"] = origin, edges
+    boxes["code"] = [1 + each.instance * volumes.volume_count + each.volume for each in bounded]
+    boxes["code"][[each.instance < 0 for each in bounded]] = 0
+    boxes["moving"] = [each.instance if each.moves else -1 for each in bounded]
+    boxes["first"], boxes["flights"] = np.arange(len(bounded)) * count, 1.0 / edge
+    inverse = np.linalg.inv(edges) * cells
+    grids["to_cells"][:, :, :3], grids["to_cells"][:, :, 3] = inverse, -np.einsum("nij,nj->ni", inverse, origin)
+    grids["size"], grids["first"] = cells, boxes["first"]
+    most = _FLIGHTS_MOST / edge
     peaks: dict[int, np.ndarray] = {}  # by identity of the mesh
     world = volumes.world
+    alike: dict[tuple[bool, int], list[int]] = {}  # by what a launch has in common
     for number, each in enumerate(bounded):
-        low, high = each.box
-        size = np.maximum(high - low, 1e-6 * max(float(np.abs(each.box).max()), 1e-12))
-        # bounds of what moves go with it
-        to_world = np.eye(3, 4) if each.moves else each.to_world
-        linear, offset = to_world[:, :3], to_world[:, 3]
-        origin, edges = linear @ low + offset, linear * size
-        inverse = np.linalg.inv(edges) * cells
-        grids[number]["to_cells"] = np.column_stack([inverse, -inverse @ origin])
-        grids[number]["size"] = (cells,) * 3
-        grids[number]["first"] = number * count
-        code = 0
-        if each.instance >= 0:
-            code = 1 + each.instance * volumes.volume_count + each.volume
-            volumes.world = -1  # each alone
-        else:
-            volumes.world = world
+        grid_count = 0 if each.mesh is None else len(each.mesh.grids)
+        alike.setdefault((each.instance < 0, grid_count), []).append(number)
+    for (is_world, grid_count), together in alike.items():
+        volumes.world = world if is_world else -1  # each alone
         asked = BoundWork()
-        asked.inside, asked.cells = wp.vec4i(code, 0, 0, 0), cells
-        asked.origin, asked.edges = wp.vec3(*origin), wp.mat33(*edges.ravel())
-        edge = float(np.linalg.norm(each.to_world[:, :3] * size, axis=0).max()) / cells
-        most[number] = _FLIGHTS_MOST / edge
-        asked.flights, asked.rays = 1.0 / edge, rays
-        asked.moving = each.instance if each.moves else -1
-        if each.mesh is not None and each.mesh.grids:
-            key = id(each.mesh)
-            if key not in peaks:
-                peaks[key] = np.stack([_peaks(grid, low, size, cells) for grid in each.mesh.grids], 1)
-            points = peaks[key].reshape(-1, 3) @ linear.T + offset
-            asked.places = wp.array(points.astype(np.float32), dtype=wp.vec3, device=device)
-        asked.found = found[number * count : (number + 1) * count]
+        asked.cells, asked.rays, asked.found = cells, rays, found
+        asked.boxes = wp.array(boxes[together], dtype=BoundBox, device=device)
+        if grid_count:
+            places = []
+            for number in together:
+                mesh = bounded[number].mesh
+                assert mesh is not None
+                if id(mesh) not in peaks:
+                    of_grids = [peaks_of(grid, low[number], size[number], cells)[0] for grid in mesh.grids]
+                    peaks[id(mesh)] = np.stack(of_grids, 1).reshape(-1, 3)
+                places.append((peaks[id(mesh)] @ placed[number, :, :3].T + placed[number, :, 3]).astype(np.float32))
+            asked.places = wp.array(np.concatenate(places), dtype=wp.vec3, device=device)
         volumes.asked = asked
-        launch(volumes, count)
+        launch(volumes, len(together) * count)
     volumes.asked = BoundWork()
     volumes.world = world
     numbers = found.numpy().reshape(-1, cells, cells, cells)
@@ -195,9 +209,9 @@ def find_bounds(
     )
 
 
-def _peaks(grid: Grid, low: np.ndarray, size: np.ndarray, cells: int) -> np.ndarray:
+def peaks_of(grid: Grid, low: np.ndarray, size: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray]:
     """Where `grid` has its largest value in each of `cells`^3 cells of the box that begins at `low`: object space [m],
-    float64, shape [cells^3, 3]; the middle of a cell in which there is nothing.
+    float64, shape [cells^3, 3], the middle of a cell in which there is nothing; and these values, float32.
     """
     whole = np.vstack([np.asarray(grid.to_index, np.float64), [0, 0, 0, 1]])
     to_object = np.linalg.inv(whole)[:3]
@@ -231,7 +245,7 @@ def _peaks(grid: Grid, low: np.ndarray, size: np.ndarray, cells: int) -> np.ndar
         add(voxels[found > 0], found[found > 0])
         tile, *voxel = np.nonzero(values[~alone] > 0)
         add(corner[~alone][tile] + np.stack(voxel, 1), values[~alone][(tile, *voxel)])
-    return places
+    return places, best
 
 
 def goes_on_beyond(
@@ -242,10 +256,11 @@ def goes_on_beyond(
     """
     cells = 2 * _LINE_CELLS + 1
     edge = (1 + 2 * WORLD_REACH) * (box[1] - box[0])
+    whole = np.zeros(1, BoundBox.numpy_dtype())
+    whole["origin"], whole["edges"], whole["moving"] = box.mean(0) - edge / 2, np.diag(edge), -1
     asked = BoundWork()
-    asked.cells, asked.moving, asked.rays = cells, -1, 1
-    asked.origin = wp.vec3(*(box.mean(0) - edge / 2))
-    asked.edges = wp.mat33(*np.diag(edge).ravel())
+    asked.cells, asked.rays = cells, 1
+    asked.boxes = wp.array(whole, dtype=BoundBox, device=device)
     asked.found = wp.zeros(cells**3, dtype=float, device=device)
     volumes.asked = asked
     launch(volumes, cells**3)

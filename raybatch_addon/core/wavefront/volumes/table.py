@@ -18,6 +18,8 @@ FRONT, BACK = 1, 2
 AIMED, GOES_ON, UNAIMED = 1, 2, 4
 # In place of a grid of cells: `VolumeLights.of`
 UNLIKE = -2
+# Cells of a part of a grid along each axis: what a cell is divided into
+PART = 4
 
 
 @wp.struct
@@ -31,20 +33,28 @@ class Bounds:
 
 
 @wp.struct
-class BoundWork:
+class BoundBox:
     """A box whose cells are given bounds; see `bounds.py`."""
 
-    inside: wp.vec4i  # the volumes that are looked at, as in `MediaState`
     origin: wp.vec3  # a corner of the box, in object space where it moves [m]
     edges: wp.mat33  # its edges from there, by columns [m]
+    code: int  # the volume that is looked at, as in `MediaState`; 0: none but that of the world
     moving: int  # the instance that moves; -1: nothing does
+    first: int  # of its cells in `BoundWork.found`
+    flights: float  # the least bound of what emits light [1/m]
+
+
+@wp.struct
+class BoundWork:
+    """Boxes whose cells are given bounds, the last axis changing fastest."""
+
+    boxes: wp.array(dtype=BoundBox)
     cells: int  # along each axis
     rays: int  # kinds of rays that are looked at, see `bounds.py`
-    emission: int  # 1: the mean emission is found too, where volumes are emitters
-    flights: float  # the least bound of what emits light [1/m]
     places: wp.array(dtype=wp.vec3)  # where more is looked at: as many points of each cell [m]; or none
-    # result of each cell: the largest extinction [1/m], and behind those of all cells the mean emission [W/(m³ sr)]
-    found: wp.array(dtype=float)
+    found: wp.array(dtype=float)  # result of each cell: the largest extinction [1/m]
+    # and, where volumes are emitters: means of emission [W/(m³ sr)], its square, and extinction [1/m]; or none
+    emitted: wp.array(dtype=wp.vec3)
 
 
 @wp.struct
@@ -68,7 +78,8 @@ class VolumeLights:
     has_unlike: int  # 1: there is such a volume
     innermost: int  # 1: a volume is an emitter only where it is the innermost, as that owns the light of all of them
     grids: wp.array(dtype=EmissionGrid)
-    emitters: wp.array(dtype=int)  # emitter of each cell; -1: none
+    # emitter of each cell; -1: none; -2 or less: it has `PART`³ cells of its own here, from that below -2 on
+    emitters: wp.array(dtype=int)
     first: int  # the first emitter that is a cell
     codes: wp.array(dtype=int)  # code of the volume of each emitter from there on
 

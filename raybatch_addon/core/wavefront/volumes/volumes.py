@@ -9,7 +9,7 @@ import warp as wp
 
 from ...scene.features import SceneFeatures, narrow
 from .cross import cross_kernel, enter_kernel
-from .emission.cells import inside_kernel
+from .emission.estimate import inside_kernel
 from .features import VolumeFeatures
 from .grids import store_numbers, store_vectors
 from .kernels import bound_kernel, transmit_kernel, volume_kernel

@@ -48,7 +48,8 @@ def aimed_volumes(scene: Scene, volume_of: np.ndarray) -> tuple[list[Bounded], l
 def _has_inside(volumes: list[Bounded]) -> np.ndarray:
     """Whether each of these has places inside that float32 can tell: bool, shape [n]."""
     placed = np.stack([each.to_world for each in volumes])
-    size = np.stack([np.ptp(each.box, axis=0) for each in volumes])
+    boxes = np.stack([each.box for each in volumes])
+    size = boxes[:, 1] - boxes[:, 0]
     with np.errstate(all="ignore"):
         edges = placed[:, :, :3] * size[:, None]
         there = np.isfinite(placed.astype(np.float32)).all((1, 2)) & np.isfinite(edges.astype(np.float32)).all((1, 2))
@@ -60,7 +61,7 @@ def _world_boxes(volumes: list[Bounded]) -> tuple[np.ndarray, np.ndarray]:
     """Corners of boxes around volumes in the world [m], float64, shape [n, 3] each."""
     placed, boxes = np.stack([each.to_world for each in volumes]), np.stack([each.box for each in volumes])
     middle = np.einsum("nij,nj->ni", placed[:, :, :3], boxes.mean(1)) + placed[:, :, 3]
-    reach = np.einsum("nij,nj->ni", np.abs(placed[:, :, :3]), np.ptp(boxes, axis=1) / 2)
+    reach = np.einsum("nij,nj->ni", np.abs(placed[:, :, :3]), (boxes[:, 1] - boxes[:, 0]) / 2)
     return middle - reach, middle + reach
 
 

@@ -1,8 +1,8 @@
 """Cells of the volumes that emit: found before the render, on a grid over each.
 
-How bright a cell is, is estimated at some points of it: by the program of the volume, and by the share of the points
-that lie within its surface. What is brighter than estimated is aimed at more seldom, and what no point shows is left to
-scattered rays. So are volumes that move.
+A cell of which a small part emits is divided into smaller ones, and those again, so that a small flame in a large box,
+or one of many in a mesh, is aimed at where it is. What is brighter than estimated is aimed at more seldom, and what no
+point shows is left to scattered rays. So are volumes that move.
 """
 
 from __future__ import annotations
@@ -13,26 +13,22 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from ....device.devices import load_module
-from ....device.kernel import KERNEL_OPTIONS
-from ....scene.description import ClosureKind, Mesh, Scene
+from ....scene.description import Scene
 from ....scene.features import emits_somewhere, scene_volumes
 from ....scene.linking import links_lights
 from ....scene.passes import light_group_passes
 from ....shading.lights.emitters import EmissiveCells
-from ....shading.sequences.keys import mix_bits, sequence_number
-from ....shading.volumes.enclosures import AHEAD, FARTHEST
-from ..bounds import CELLS_MOST, Bounded
-from ..grids import density_scale
-from ..table import UNLIKE, BoundWork, EmissionGrid, VolumeData, VolumeLights
+from ..bounds import peaks_of
+from ..table import PART, UNLIKE, EmissionGrid, VolumeData, VolumeLights
 from .aimed import aimed_volumes
-from .weigh import POINTS
+from .estimate import FLAT, CellBoxes, Estimates, Looked
 
 # Cells along each axis at most, and cells of all volumes together
 _EMITTERS_ALONG, _EMITTERS_TOGETHER = 16, 1 << 16
-_POINTS = 8
-# Share of its own brightness that a cell gives to the cells around it, whose points may have missed something
-_SPREAD = 0.1
+# How often cells are divided, and how many of them each time at most
+_DIVISIONS, _DIVIDED_MOST = 2, 512
+# A cell is divided where less of it emits, and where so much of all light is aimed at in vain in it
+_FULL, _IN_VAIN_LEAST = 0.5, 1e-4
 
 
 @dataclass(frozen=True)
@@ -53,32 +49,12 @@ class FoundCells:
         lights.emits = wp.array(self.emits, dtype=int, device=device)
         lights.of = wp.array(self.of, dtype=int, device=device)
         lights.grids = wp.array(self.grids, dtype=EmissionGrid, device=device)
-        shifted = np.where(self.emitters >= 0, self.emitters + first, -1).astype(np.int32)
+        shifted = np.where(self.emitters >= 0, self.emitters + first, self.emitters).astype(np.int32)
         lights.emitters = wp.array(shifted, dtype=int, device=device)
         lights.codes = wp.array(self.codes, dtype=int, device=device)
         lights.first = first
         lights.has_unlike, lights.innermost = int(bool((self.of == UNLIKE).any())), int(self.innermost)
         return lights
-
-
-@wp.kernel(**KERNEL_OPTIONS)
-def inside_kernel(mesh: wp.uint64, cells: int, found: wp.array(dtype=float)):
-    """The share of the points of each cell of the box from 0 to 1 that are in a closed surface."""
-    i = wp.tid()
-    cell = wp.vec3(float(i / (cells * cells)), float((i / cells) % cells), float(i % cells))
-    inside = int(0)
-    for k in range(_POINTS):
-        seed = mix_bits(wp.uint32(i * _POINTS + k))
-        u = wp.vec3(
-            sequence_number(seed),
-            sequence_number(mix_bits(seed + wp.uint32(1))),
-            sequence_number(mix_bits(seed + wp.uint32(2))),
-        )
-        ahead = wp.normalize(wp.vec3(wp.static(AHEAD[0]), wp.static(AHEAD[1]), wp.static(AHEAD[2])))
-        hit = wp.mesh_query_ray(mesh, (cell + u) / float(cells), ahead, wp.static(FARTHEST))
-        if hit.result and hit.sign < 0.0:
-            inside += 1
-    found[i] = float(inside) / float(_POINTS)
 
 
 def find_cells(
@@ -97,107 +73,106 @@ def find_cells(
     if not bounded:
         return None
     count = int(np.clip((_EMITTERS_TOGETHER / len(bounded)) ** (1 / 3), 1, _EMITTERS_ALONG))
-    grids = np.zeros(len(bounded), EmissionGrid.numpy_dtype())
-    of = np.full(max(len(scene.instances), 1) * volumes.volume_count, -1, np.int32)
-    of[[each.instance * volumes.volume_count + each.volume for each in unlike]] = UNLIKE
-    thinner = density_scale(scene)
-    shares: dict[tuple, np.ndarray] = {}
-    parts, emitters, codes, total = [], [], [], 0
-    for number, each in enumerate(bounded):
-        code = 1 + each.instance * volumes.volume_count + each.volume
-        low, size = each.box[0], np.maximum(np.ptp(each.box, axis=0), 1e-30)
-        slots = _slots(scene, each, volume_of)
-        key = (id(each.mesh), slots.tobytes())
-        if key not in shares:
-            shares[key] = _inside(each.mesh, slots, low, size, count, device)
-        edges = each.to_world[:, :3] * size
-        # as kernels have it: cells begin where they are looked for
-        origin = (each.to_world[:, :3] @ low + each.to_world[:, 3]).astype(np.float32).astype(np.float64)
-        longest = float(np.linalg.norm(edges, axis=0).max())
-        volume = filling[each.volume]
-        if volume.program is None:
-            scale = 1.0 if thinner is None else float(thinner[each.instance])
-            weights = {True: np.zeros(3), False: np.zeros(3)}
-            for closure in volume.closures:
-                weights[closure.kind == ClosureKind.EMISSION] += scale * np.asarray(closure.weight, float)
-            emission = np.full(count**3, weights[True].mean())
-            rate = np.full(count**3, weights[False].max() + POINTS / longest)
-        else:
-            emission, extinction = _evaluated(volumes, code, origin, edges, count, launch, device)
-            rate = np.maximum(extinction, (CELLS_MOST if volumes.varies else POINTS) / longest)
-        strength = emission * shares[key] * abs(np.linalg.det(edges)) / count**3
-        strength = _spread(strength.reshape((count,) * 3)).ravel() * (shares[key] > 0)
-        strength = np.where(np.isfinite(strength), strength, 0)
-        bright = np.flatnonzero(strength > 0)
-        grids[number]["origin"], grids[number]["to_cells"] = origin, np.linalg.inv(edges) * count
-        grids[number]["size"], grids[number]["first"] = count, number * count**3
-        of[code - 1] = number
-        place = np.stack(np.unravel_index(bright, (count,) * 3), 1)
-        middle = origin + (place + 0.5) / count @ edges.T
-        half = np.broadcast_to(edges.T / (2 * count), (len(bright), 3, 3))
-        parts.append((middle, half, rate[bright], strength[bright], np.full(len(bright), each.instance, np.int32)))
-        numbers = np.full(count**3, -1)
-        numbers[bright] = total + np.arange(len(bright))
-        emitters.append(numbers)
-        codes.append(np.full(len(bright), code, np.int32))
-        total += len(bright)
+    estimates = Estimates(volumes, scene, bounded, filling, volume_of, launch, device)
+    whole = CellBoxes(np.arange(len(bounded)), np.zeros((len(bounded), 3)), np.ones(len(bounded)), count)
+    levels = [(whole, estimates.look(whole))]
+    tables = [np.full(len(bounded) * count**3, -1)]
+    for level in range(_DIVISIONS):
+        room = (_EMITTERS_TOGETHER - sum(int((looked.strength > 0).sum()) for _, looked in levels)) // PART**3
+        divided = _divided(estimates, *levels[-1], min(room, _DIVIDED_MOST), is_first=level == 0)
+        if not len(divided):
+            break
+        smaller = _parts_of(levels[-1][0], divided)
+        looked = estimates.look(smaller)
+        kept = looked.strength.any(1)
+        if level + 1 < _DIVISIONS:  # the smallest may show what these do not
+            dark = levels[-1][1].strength.ravel()[divided] == 0
+            kept |= dark & _touched(estimates, smaller, False).reshape(kept.shape[0], -1).any(1)
+        divided, smaller = divided[kept], _chosen(smaller, kept)
+        looked = Looked(*(values[kept] for values in vars(looked).values()))
+        if not len(divided):
+            break
+        first = sum(map(len, tables))
+        levels[-1][1].strength.ravel()[divided] = 0.0
+        tables[-1][divided] = -2 - (first + np.arange(len(divided)) * PART**3)
+        levels.append((smaller, looked))
+        tables.append(np.full(len(divided) * PART**3, -1))
+    made, codes, total = [], [], 0
+    for (parts, looked), table in zip(levels, tables):
+        lit = np.flatnonzero(looked.strength)
+        made.append(_cells_at(estimates, parts, looked, lit))
+        codes.append(estimates.code[parts.of[lit // parts.count**3]])
+        table[lit] = total + np.arange(len(lit))
+        total += len(lit)
     if not total:
         return None
-    cells = EmissiveCells(*(np.concatenate(values) for values in zip(*parts)))
+    code = np.concatenate(codes)
+    instance = ((code - 1) // volumes.volume_count).astype(np.int32)
+    cells = EmissiveCells(*(np.concatenate(values) for values in zip(*made)), instance)
+    grids = np.zeros(len(bounded), EmissionGrid.numpy_dtype())
+    grids["origin"], grids["to_cells"] = estimates.origin, np.linalg.inv(estimates.edges) * count
+    grids["size"], grids["first"] = count, np.arange(len(bounded)) * count**3
+    of = np.full(max(len(scene.instances), 1) * volumes.volume_count, -1, np.int32)
+    of[[each.instance * volumes.volume_count + each.volume for each in unlike]] = UNLIKE
+    of[estimates.code - 1] = np.arange(len(bounded))
     may_emit = np.array([emits_somewhere(volume) for volume in filling], np.int32)
     owned = links_lights(scene) or bool(light_group_passes(scene.frame.passes))
-    return FoundCells(cells, of, grids, np.concatenate(emitters), np.concatenate(codes), may_emit, owned)
+    return FoundCells(cells, of, grids, np.concatenate(tables), code.astype(np.int32), may_emit, owned)
 
 
-def _slots(scene: Scene, each: Bounded, volume_of: np.ndarray) -> np.ndarray:
-    """Whether each material slot of an instance has the volume."""
-    slots = 1 if each.mesh.triangle_slot is None else int(each.mesh.triangle_slot.max()) + 1
-    first = int(scene.instances.slot_first[each.instance])
-    return volume_of[scene.slot_materials[first : first + slots]] == each.volume
+def _divided(estimates: Estimates, parts: CellBoxes, looked: Looked, most: int, is_first: bool) -> np.ndarray:
+    """Cells of `parts` that are to be divided, `most` at most: numbers in `Looked`, ascending."""
+    in_vain = np.where(looked.fill < _FULL, looked.strength * (1 - looked.fill), 0.0).ravel()
+    total = looked.strength.sum()
+    worth = np.where(in_vain > _IN_VAIN_LEAST * total, in_vain, 0.0)
+    # where something is that no point has met
+    missed = _touched(estimates, parts, is_first) & (looked.strength == 0).ravel()
+    worth[missed] = max(_IN_VAIN_LEAST * total, np.finfo(float).tiny)
+    order = np.argsort(-worth, kind="stable")[: max(most, 0)]
+    return np.sort(order[worth[order] > 0])
 
 
-def _inside(
-    mesh: Mesh, slots: np.ndarray, low: np.ndarray, size: np.ndarray, count: int, device: wp.Device
-) -> np.ndarray:
-    """Share of each cell that is in the surface of the triangles with these `slots`; float64, shape [count^3]."""
-    corners = mesh.triangles if mesh.triangle_slot is None else mesh.triangles[slots[mesh.triangle_slot]]
-    if not len(corners):
-        return np.zeros(count**3)
-    positions = ((mesh.positions - low) / size).astype(np.float32)
-    surface = wp.Mesh(
-        wp.array(positions, dtype=wp.vec3, device=device),
-        wp.array(np.ascontiguousarray(corners, np.int32).ravel(), dtype=int, device=device),
-    )
-    found = wp.zeros(count**3, dtype=float, device=device)
-    load_module(inside_kernel, device)
-    wp.launch(inside_kernel, count**3, [surface.id, count, found], device=device)
-    return found.numpy().astype(np.float64)
+def _touched(estimates: Estimates, parts: CellBoxes, is_first: bool) -> np.ndarray:
+    """Whether corners of a surface, or voxels of a grid that are not 0, lie in each cell of `parts`: bool, flat."""
+    n = parts.count
+    result = np.zeros((len(parts), n**3), bool)
+    surface = estimates.surface_of[parts.of]
+    across = round(n / parts.edge[0])  # cells along a whole box
+    at = np.round(parts.corner * across).astype(int)
+    cells = np.stack(np.unravel_index(np.arange(n**3), (n,) * 3), 1)
+    for number in np.unique(surface).tolist():
+        volume, triangles = estimates.surfaces[number]
+        mesh, (low, high) = volume.mesh, volume.box
+        assert mesh is not None
+        size = np.maximum(high - low, FLAT)
+        places = np.clip((mesh.positions[np.unique(triangles)] - low) / size * across, 0, across - 1).astype(int)
+        there = np.zeros(across**3, bool)
+        there[places @ (across * across, across, 1)] = True
+        if is_first:
+            for grid in mesh.grids:
+                there |= peaks_of(grid, low, size, across)[1] > 0
+        these = np.flatnonzero(surface == number)
+        result[these] = there[(at[these, None] + cells) @ (across * across, across, 1)]
+    return result.ravel()
 
 
-def _evaluated(
-    volumes: VolumeData,
-    code: int,
-    origin: np.ndarray,
-    edges: np.ndarray,
-    count: int,
-    launch: Callable[[VolumeData, int], None],
-    device: wp.Device,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Mean emission [W/(m³ sr)] and largest extinction [1/m] of each cell of a volume, float64, shape [count^3]."""
-    world, volumes.world = volumes.world, -1
-    asked = BoundWork()
-    asked.inside, asked.cells, asked.rays, asked.moving = wp.vec4i(code, 0, 0, 0), count, 1, -1
-    asked.origin, asked.edges, asked.emission = wp.vec3(*origin), wp.mat33(*edges.ravel()), 1
-    asked.found = wp.zeros(2 * count**3, dtype=float, device=device)
-    volumes.asked = asked
-    launch(volumes, count**3)
-    volumes.asked, volumes.world = BoundWork(), world
-    extinction, emission = asked.found.numpy().astype(np.float64).reshape(2, -1)
-    return emission, extinction
+def _parts_of(parts: CellBoxes, divided: np.ndarray) -> CellBoxes:
+    """The cells `divided` of `parts`, as parts of their own."""
+    part, cell = np.divmod(divided, parts.count**3)
+    place = np.stack(np.unravel_index(cell, (parts.count,) * 3), 1)
+    edge = parts.edge[part] / parts.count
+    return CellBoxes(parts.of[part], parts.corner[part] + place * edge[:, None], edge, PART)
 
 
-def _spread(strength: np.ndarray) -> np.ndarray:
-    """`strength` of cells, shape [n, n, n], with a part of the mean of those around."""
-    padded, n = np.pad(strength, 1), strength.shape[0]
-    around = sum(padded[x : x + n, y : y + n, z : z + n] for x in range(3) for y in range(3) for z in range(3))
-    return strength + _SPREAD / 27 * around
+def _chosen(parts: CellBoxes, which: np.ndarray) -> CellBoxes:
+    return CellBoxes(parts.of[which], parts.corner[which], parts.edge[which], parts.count)
+
+
+def _cells_at(estimates: Estimates, parts: CellBoxes, looked: Looked, lit: np.ndarray) -> tuple[np.ndarray, ...]:
+    """The first four arrays of `EmissiveCells` for the cells `lit` of `parts`."""
+    part, cell = np.divmod(lit, parts.count**3)
+    corner, edges = estimates.placed(parts)
+    place = np.stack(np.unravel_index(cell, (parts.count,) * 3), 1)
+    middle = corner[part] + np.einsum("gij,gj->gi", edges[part], (place + 0.5) / parts.count)
+    half = np.swapaxes(edges[part], 1, 2) / (2 * parts.count)
+    return middle, half, looked.rate.ravel()[lit], looked.strength.ravel()[lit]

@@ -20,7 +20,7 @@ from ....shading.volumes.numbers import EMISSION_STREAM, stream_number
 from ..along import Sought, lit_length
 from ..features import VolumeFeatures
 from ..medium import Coefficients, passes
-from ..table import INSIDE_MOST, UNLIKE, VolumeData, entry, innermost_instance
+from ..table import INSIDE_MOST, PART, UNLIKE, VolumeData, entry, innermost_instance
 
 # Points along a piece of a ray at which a medium that is the same everywhere is looked at
 POINTS = 2
@@ -83,11 +83,20 @@ def cell_at(volumes: VolumeData, number: int, position: wp.vec3) -> int:
     """The emitter that is the cell around `position`, a point of the volume with this grid; -1: there is none."""
     grid = volumes.lights.grids[number]
     at = grid.to_cells * (position - grid.origin)
-    cell = int(0)
-    for axis in range(3):
-        # a point on a face may be beyond it, to rounding
-        cell = cell * grid.size + int(wp.clamp(at[axis], 0.0, float(grid.size - 1)))
-    return volumes.lights.emitters[grid.first + cell]
+    size = int(grid.size)
+    first = int(grid.first)
+    found = int(-2)
+    while found < -1:
+        cell = int(0)
+        for axis in range(3):
+            # a point on a face may be beyond it, to rounding
+            k = int(wp.clamp(at[axis], 0.0, float(size - 1)))
+            cell = cell * size + k
+            at[axis] = (at[axis] - float(k)) * wp.static(float(PART))
+        found = volumes.lights.emitters[first + cell]
+        first = -2 - found
+        size = wp.static(PART)
+    return found
 
 
 @functools.cache
