@@ -62,6 +62,14 @@ def test_a_compiler_that_fails_is_told_with_its_last_words(tmp_path, capfd, last
     assert f"could not be compiled: {last or 'it ended with code 3'}\n" in capfd.readouterr().err
 
 
+@pytest.mark.skipif(os.name != "posix", reason="signals end processes on POSIX")
+def test_a_compiler_that_a_signal_ended_has_not_said_why(tmp_path, capfd):
+    """How far it was is no reason."""
+    script = "import os, sys\nprint('compiled 7 of 12 modules', file=sys.stderr, flush=True)\nos.kill(os.getpid(), 9)\n"
+    compile_kernels([sys.executable, "-c", script], tmp_path / "kernels.log", AT_MOST)
+    assert capfd.readouterr().err.splitlines()[1:] == ["RayBatch: they could not be compiled: it ended with code -9"]
+
+
 @pytest.mark.skipif(not hasattr(os, "nice"), reason="priorities are told by os.nice")
 def test_it_runs_at_low_priority(tmp_path):
     log = tmp_path / "kernels.log"

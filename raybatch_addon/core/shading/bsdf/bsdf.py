@@ -17,7 +17,7 @@ from .ashikhmin_shirley import phong_exponent, sample_phong
 from .drawn.toon import sample_toon
 from .facets import make_facets
 from .ggx import is_refraction_specular, is_specular, reflected, refracted
-from .lobes import LOBE_FLOATS, Lobe, make_lobes, relative_index
+from .lobes import LOBE_FLOATS, Lobe, make_lobes, pick_lobe, relative_index
 from .materials import (
     DELTA,
     DIFFUSE,
@@ -129,29 +129,12 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
     ) -> BsdfSample:
         result = BsdfSample()
 
-        # Each closure has one interval of `u_lobe`, in their order. The rest of the number decides in the closure,
-        # counted from the end of [0, 1) where the interval has one: so what is rare there lies at that end, and the
-        # evenly spaced numbers of each pixel find it equally often.
-        total = float(0.0)
-        for c in range(end - first):
-            total += wp.max(lobes[c].selection, 0.0)
-        chosen = int(-1)
-        start = float(0.0)
-        below = float(0.0)
-        for c in range(first, end):
-            selection = lobes[c - first].selection
-            if selection > 0.0:
-                if chosen < 0 or u_lobe * total >= below:
-                    chosen = int(c)
-                    start = below
-                below += selection
-        if chosen < 0:
+        picked = pick_lobe(lobes, end - first, u_lobe)
+        if picked.offset < 0:
             return result
-        lobe = lobes[chosen - first]
-        left = (u_lobe * total - start) / lobe.selection
-        if start > 0.0:
-            left = 1.0 - left
-        left = wp.clamp(left, 0.0, ONE_BELOW)
+        chosen = int(first + picked.offset)
+        lobe = lobes[picked.offset]
+        left = float(picked.rest)
 
         kind = closures[chosen].kind
         n = lobe.normal
@@ -287,7 +270,7 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
         result.lobe = bits
         result.closure = chosen
         if (bits & DELTA) != 0:
-            result.weight = (total / lobe.selection) * delta
+            result.weight = (picked.total / lobe.selection) * delta
         return result
 
     @wp.func

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import warp as wp
 
+from ...float32 import ONE_BELOW
 from ...scene.description import ClosureKind
 from .albedo import (
     AlbedoTables,
@@ -69,6 +70,45 @@ class Lobe:
     selection: float  # albedo, approximate, summed over the channels: decides how often the closure is sampled
     normal: wp.vec3  # of its facets, unit
     cosine: float  # of the angle between that and wo
+
+
+@wp.struct
+class PickedLobe:
+    """The closure that a random number chooses."""
+
+    offset: int  # behind the first; -1: none is sampled
+    rest: float  # what is left of the number, in [0, 1)
+    total: float  # `selection` of all
+
+
+@wp.func
+def pick_lobe(lobes: wp.array(dtype=Lobe), count: int, u: float) -> PickedLobe:
+    """Choose one of `count` lobes in proportion to `selection` by `u` in [0, 1).
+
+    Each has one interval of `u`, in their order. What is left is counted from the end of [0, 1) where the interval has
+    one: so what is rare in a closure lies at that end, and the evenly spaced numbers of each pixel find it equally
+    often.
+    """
+    picked = PickedLobe()
+    picked.offset = -1
+    for c in range(count):
+        picked.total += wp.max(lobes[c].selection, 0.0)
+    start = float(0.0)
+    width = float(1.0)
+    below = float(0.0)
+    for c in range(count):
+        selection = lobes[c].selection
+        if selection > 0.0:
+            if picked.offset < 0 or u * picked.total >= below:
+                picked.offset = int(c)
+                start = below
+                width = selection
+            below += selection
+    picked.rest = (u * picked.total - start) / width
+    if start > 0.0:
+        picked.rest = 1.0 - picked.rest
+    picked.rest = wp.clamp(picked.rest, 0.0, ONE_BELOW)
+    return picked
 
 
 @wp.struct

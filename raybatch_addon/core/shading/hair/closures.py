@@ -7,10 +7,9 @@ from __future__ import annotations
 
 import warp as wp
 
-from ...float32 import ONE_BELOW
 from ...scene.description import ClosureKind
 from ..bsdf.albedo import AlbedoTables
-from ..bsdf.lobes import Lobe
+from ..bsdf.lobes import Lobe, pick_lobe
 from ..bsdf.materials import (
     GLOSSY,
     HAIR_KINDS,
@@ -80,27 +79,19 @@ def with_hair(bsdf: Bsdf, features: ClosureFeatures) -> Bsdf:
         u: wp.vec2,
     ) -> BsdfSample:
         # the same choice as that of the others, which is made again where it falls on one of them
-        total = float(0.0)
-        chosen = int(-1)
-        left = float(u_lobe)
-        for c in range(first, end):
-            selection = lobes[c - first].selection
-            if selection > 0.0:
-                total += selection
-                p = selection / total
-                if left < p:
-                    left = wp.min(left / p, ONE_BELOW)
-                    chosen = int(c)
-                else:
-                    left = wp.min((left - p) / (1.0 - p), ONE_BELOW)
-        if chosen >= 0 and is_hair(closures[chosen].kind):
+        picked = pick_lobe(lobes, end - first, u_lobe)
+        chosen = int(first + picked.offset)
+        if picked.offset >= 0 and is_hair(closures[chosen].kind):
             found = HairDirection()
+            rest = picked.rest
             if wp.static(has_principled):
                 if closures[chosen].kind == _PRINCIPLED:
-                    found = sample_principled_hair(closures, chosen, cylinder_of(closures, chosen, frame, wo), left, u)
+                    found = sample_principled_hair(
+                        closures, chosen, cylinder_of(closures, chosen, frame, wo), picked.rest, u
+                    )
             if wp.static(has_facets):
                 if closures[chosen].kind == _FACETS:
-                    found = sample_facet_hair(fibre_of(closures, chosen, albedo, frame, wo), left, u)
+                    found = sample_facet_hair(fibre_of(closures, chosen, albedo, frame, wo), rest, u)
             if wp.static(has_lobes):
                 if closures[chosen].kind < _PRINCIPLED:
                     found = sample_hair_lobe(closures, chosen, frame, wo, u, closures[chosen].kind == _TRANSMISSION)

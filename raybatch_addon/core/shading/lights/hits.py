@@ -20,7 +20,7 @@ from .choice import ChoiceFeatures, LitPoint, make_light_choice
 from .lamp_program import make_lamp_emission
 from .lights import light_weights
 from .links import make_counts, make_found_by_sampling
-from .met.boxes import next_met
+from .met.boxes import light_of, next_met
 from .shapes import LightSample, meet_disk, meet_sphere, meet_sun, spot_factor
 from .table import LightRecord, LightTable
 
@@ -128,7 +128,7 @@ def make_light_hits(features: LightHitFeatures) -> LightHits:
                     item = next_met(table.tree, origin, direction, reach, item)
                     if item < 0:
                         break
-                    emitter = table.tree_light[item]
+                    emitter = light_of(table.tree, table.tree_leaf, item)
                     light = table.lights[emitter]
                     sampled = bsdf_pdf > 0.0 and found_by_sampling(table, emitter, light.visibility)
                     if (light.visibility & visibility) != 0 and not sampled and counts(table, emitter, point):

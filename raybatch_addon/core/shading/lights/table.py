@@ -84,7 +84,7 @@ class LightTable:
     sun_count: int
     suns: wp.array(dtype=int)  # numbers of the suns with a size; [sun_count]
     tree: wp.array(dtype=BoxBlock)  # over the boxes of the lights that rays can meet; no entries where there is none
-    tree_light: wp.array(dtype=int)  # number of the light of each item of the tree
+    tree_leaf: int  # its first block of items
     tree_visibility: int  # `Visibility` bits that any of them has
     triangle_instance: wp.array(dtype=int)  # [emitter_count - light_count], ascending
     triangle_primitive: wp.array(dtype=int)  # ascending within an instance
@@ -162,8 +162,7 @@ def upload_lights(
     strength = strength if cells is None else np.concatenate([strength, cells.strength])
     table.sun_count = len(suns)
     table.suns = upload(suns, int)
-    table.tree, order = box_tree(*_boxes(records[placed]), device)
-    table.tree_light = upload(placed[order], int)
+    table.tree, table.tree_leaf = box_tree(*_boxes(records[placed]), placed, device)
     table.tree_visibility = int(np.bitwise_or.reduce(records["visibility"][placed], initial=0))
     # millions of numbers that nobody writes to: on the CPU they are where they are
     table.triangle_instance = wp.array(triangles.instance, dtype=int, device=device, copy=False)

@@ -15,7 +15,7 @@ from ...shading.lights.hits import LightHitFeatures, make_light_hits
 from ...shading.lights.lamp_program import make_lamp_emission
 from ...shading.lights.lights import light_weights
 from ...shading.lights.links import make_counts, make_found_by_sampling
-from ...shading.lights.met.boxes import next_met
+from ...shading.lights.met.boxes import light_of, next_met
 from ...shading.lights.table import LightTable
 from ...shading.sequences.keys import mix_bits
 from .features import VolumeFeatures
@@ -65,7 +65,7 @@ def make_lights_ahead(features: VolumeFeatures) -> wp.Function:
                     item = next_met(table.tree, origin, direction, reach, item)
                     if item < 0:
                         break
-                    emitter = table.tree_light[item]
+                    emitter = light_of(table.tree, table.tree_leaf, item)
                     light = table.lights[emitter]
                     sampled = way.bsdf_pdf > 0.0 and found_by_sampling(table, emitter, light.visibility)
                     seen = (light.visibility & way.begin.ray_kind) != 0 and not sampled

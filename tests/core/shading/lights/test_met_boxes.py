@@ -6,7 +6,7 @@ import warp as wp
 
 from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.scene.description import Light, LightKind, Visibility
-from raybatch_addon.core.shading.lights.met.boxes import BOXES_WIDE, BoxBlock, box_tree, next_met
+from raybatch_addon.core.shading.lights.met.boxes import BOXES_WIDE, BoxBlock, box_tree, light_of, next_met
 from raybatch_addon.core.shading.lights.table import upload_lights
 from tests.core.shading.lights.light_probe import facing, scene_of
 from tests.support.under_test import BLOCK_DIM, DEVICE
@@ -17,6 +17,7 @@ RAYS = 300
 @wp.kernel(**KERNEL_OPTIONS)
 def find_all(
     tree: wp.array(dtype=BoxBlock),
+    leaf_first: int,
     origin: wp.array(dtype=wp.vec3),
     direction: wp.array(dtype=wp.vec3),
     t_max: float,
@@ -29,19 +30,17 @@ def find_all(
         item = next_met(tree, origin[i], direction[i], t_max, item)
         if item < 0:
             break
-        met[i, item] = met[i, item] + wp.where(item > before, 1, 1000)
+        light = light_of(tree, leaf_first, item)
+        met[i, light] = met[i, light] + wp.where(item > before, 1, 1000)
         before = item
 
 
 def found(low, high, origin, direction, t_max):
-    tree, order = box_tree(low, high, wp.get_device(DEVICE))
-    assert sorted(order) == list(range(len(low)))
+    tree, leaf_first = box_tree(low, high, np.arange(len(low)), wp.get_device(DEVICE))
     met = wp.zeros((len(origin), len(low)), dtype=int, device=DEVICE)
     rays = [wp.array(each.astype(np.float32), dtype=wp.vec3, device=DEVICE) for each in (origin, direction)]
-    wp.launch(find_all, len(origin), [tree, *rays, t_max, met], device=DEVICE, block_dim=BLOCK_DIM)
-    of_box = np.empty((len(origin), len(low)), int)
-    of_box[:, order] = met.numpy()
-    return of_box, tree
+    wp.launch(find_all, len(origin), [tree, leaf_first, *rays, t_max, met], device=DEVICE, block_dim=BLOCK_DIM)
+    return met.numpy(), tree
 
 
 @pytest.mark.parametrize("count", [3, BOXES_WIDE, BOXES_WIDE + 1, 700, BOXES_WIDE**3 + 5])

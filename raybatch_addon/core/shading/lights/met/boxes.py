@@ -35,7 +35,7 @@ class BoxBlock:
     high_y: _floats
     high_z: _floats
     last: _ints  # number of the last item within the box; -1: there is no box
-    below: _ints  # the block below; -1: the box is that of one item
+    below: _ints  # the block below; less than 0: the box is that of one item, the light of number -1 - that
 
 
 @wp.func_native(native_source("lights/next_met.h", WIDTH=BOXES_WIDE, LEVELS=_LEVELS))
@@ -58,10 +58,16 @@ def next_met(tree: wp.array(dtype=BoxBlock), origin: wp.vec3, direction: wp.vec3
     return _next_entered(tree, origin, inverse, t_max, before)
 
 
-def box_tree(low: np.ndarray, high: np.ndarray, device: wp.Device) -> tuple[wp.array, np.ndarray]:
-    """The tree over boxes, `BoxBlock`, and which box each of its items is, int, shape [n].
+@wp.func
+def light_of(tree: wp.array(dtype=BoxBlock), leaf_first: int, item: int) -> int:
+    """Number of the light of an item; `leaf_first`: the first block of items."""
+    return -1 - tree[leaf_first + item // wp.static(BOXES_WIDE)].below[item % wp.static(BOXES_WIDE)]
 
-    `low`, `high`: corners of the boxes, float32, shape [n, 3].
+
+def box_tree(low: np.ndarray, high: np.ndarray, lights: np.ndarray, device: wp.Device) -> tuple[wp.array, int]:
+    """The tree over boxes, `BoxBlock`, and the number of its first block of items.
+
+    `low`, `high`: corners of the boxes, float32, shape [n, 3]; `lights`: numbers of their lights, int, shape [n].
     """
     order = np.arange(len(low))
     _sort(0.5 * low.astype(np.float64) + 0.5 * high, order)
@@ -72,13 +78,14 @@ def box_tree(low: np.ndarray, high: np.ndarray, device: wp.Device) -> tuple[wp.a
         boxes = tuple(np.maximum.reduceat(each, first) for each in (-boxes[0], *boxes[1:]))
         boxes = -boxes[0], *boxes[1:]
         levels.append(boxes)
-    blocks, block_count = [], 0
+    blocks, block_count, leaf_first = [], 0, 0
     for depth, (lows, highs, last) in enumerate(levels[::-1]):
+        leaf_first = block_count  # of the last level, in the end
         block_count += -(-len(last) // BOXES_WIDE)
         is_above = depth + 1 < len(levels)
-        below = block_count + np.arange(len(last)) if is_above else np.full(len(last), -1)
+        below = block_count + np.arange(len(last)) if is_above else -1 - lights[order]
         blocks.append(_blocks_of(lows, highs, last, below))
-    return upload_records(np.concatenate(blocks), BoxBlock, device), order
+    return upload_records(np.concatenate(blocks), BoxBlock, device), leaf_first
 
 
 def _blocks_of(low: np.ndarray, high: np.ndarray, last: np.ndarray, below: np.ndarray) -> np.ndarray:
