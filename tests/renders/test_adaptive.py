@@ -244,10 +244,10 @@ def test_a_border_has_the_samples_of_the_frame_and_ends_as_it_inside(session):
 
 
 def test_the_clock_ends_a_render_at_a_film_of_so_many_samples(session):
-    film = render(session, sample_count=10**7, time_limit=0.3, noise_threshold=0.02)
+    film = render(session, sample_count=10**7, time_limit=0.3, noise_threshold=1e-4)
     assert film.statistics["stopped_by"] == "time"
     samples = film.statistics["samples_per_pixel"]
-    assert_same_film(film, render(session, sample_count=samples, noise_threshold=0.02))
+    assert_same_film(film, render(session, sample_count=samples, noise_threshold=1e-4))
 
 
 def test_an_error_target_ends_a_render_at_the_same_sample(session):

@@ -16,6 +16,7 @@ from tests.renders.volumes.test_volume_lights import FOG, NARROW, ONCE, WIDE, as
 from tests.renders.volumes.test_volumes import medium, picture
 from tests.support import scenes
 from tests.support.feature_scenes import CATCHES
+from tests.support.running.shares import each_of, thorough_but
 
 pytestmark = pytest.mark.usefixtures("general_kernels")
 
@@ -76,7 +77,7 @@ def test_a_volume_does_not_light_what_it_is_not_linked_to(session):
     assert not picture(session, scene, **ONCE).any()
 
 
-@pytest.mark.parametrize("blocked_by", [0b01, 0b10])
+@pytest.mark.parametrize("blocked_by", each_of(2, [0b01, 0b10]))
 def test_rays_alone_find_light_that_some_objects_alone_block(session, blocked_by):
     """Scattered rays know nothing of links of shadows; the other cube is aimed at."""
     scene = apart(over_floor(GLOWS, FLAME))
@@ -129,15 +130,18 @@ def on_catcher(volume=GLOWS, catches=(0,)) -> Scene:
     return dataclasses.replace(scene, lights=(scenes.sun(1.0, 0.0),))
 
 
-@pytest.mark.parametrize("catches", [(0,), (0, 1)], ids=["the floor", "the volume too"])
-def test_catchers_get_the_light_of_volumes(session, catches):
+CATCHERS = {"the floor": (0,), "the volume too": (0, 1)}
+
+
+@pytest.mark.parametrize("catcher", thorough_but(["the floor"], CATCHERS))
+def test_catchers_get_the_light_of_volumes(session, catcher):
     """That of catchers they get without other objects too."""
     found = []
     for volume, count in ((GLOWS, 256), (left_to_rays(10.0), 1024)):
         asked = [RenderSettings(**ONCE | dict(sample_count=count, seed=seed)) for seed in range(8)]
-        films = [session.render(on_catcher(volume, catches), each) for each in asked]
+        films = [session.render(on_catcher(volume, CATCHERS[catcher]), each) for each in asked]
         found.append(np.array([film.passes[CATCHER_PASS][..., :3].mean() for film in films]))
-    if len(catches) == 2:  # the same light in both of what is divided
+    if catcher == "the volume too":  # the same light in both of what is divided
         np.testing.assert_allclose(found, 1.0, rtol=1e-5)
     else:
         assert found[0].mean() > 1.5
