@@ -2,7 +2,7 @@
 
 Run by the Python that the environment is for (`environment.sh` finds it). A stamp in the folder holds what was
 installed; while it matches, nothing is installed again. Another stamp stands for the kernels that any scene can begin
-with. Where it is missing, a process of its own compiles them, in the background after the first minute (`wait`), or
+with. Where it is missing, a process of its own compiles them, in the background after two minutes (`wait`), or
 from the start (`start`); `later` leaves them to a later call.
 """
 
@@ -21,7 +21,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 PROGRESS = re.compile(r"compiled (\d+) of \d+ modules")  # a line of `render.py --prewarm`
 MODULES_A_LINE = 10
-WAIT_SECONDS = 50.0  # for kernels, before they are left to the background
+WAIT_SECONDS = 120.0  # for kernels, before they are left to the background: a picture that comes sooner waits for them
 TICK_SECONDS = 0.1
 NICENESS = 10  # renders, tests and checks come first
 KERNELS = ("wait", "later", "start")
