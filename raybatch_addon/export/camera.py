@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import bpy
 import numpy as np
@@ -77,19 +77,32 @@ def _transform(matrix: np.ndarray, name: str) -> np.ndarray:
     """Camera to world without scale, as Blender views through the camera, from its matrix [4, 4]: shape [3, 4]."""
     if not np.isfinite(matrix).all():
         raise SceneError(f"{name}: its matrix is not finite; reset its location, rotation and scale")
-    # in the order of its memory, which sums of float32 may follow
-    found = _without_scale(np.asarray(matrix, float).tobytes("A"), "F" if matrix.flags.f_contiguous else "C")
+    found = _without_scale(MatrixKey.of(matrix))
     if found is None:
         raise SceneError(f"{name}: its matrix is singular; give it, and what it is parented to, a scale that is not 0")
     return found.copy("K")
 
 
+class MatrixKey(NamedTuple):
+    """A matrix of 4 x 4 as a key of what is made of it, which renders ask for again."""
+
+    numbers: bytes  # float64
+    order: Literal["C", "F"]  # of its memory, which sums may follow: row by row, or column by column
+
+    @classmethod
+    def of(cls, matrix: np.ndarray) -> MatrixKey:
+        """That of `matrix`."""
+        return cls(np.asarray(matrix, float).tobytes("A"), "F" if matrix.flags.f_contiguous else "C")
+
+    def matrix(self) -> np.ndarray:
+        """The matrix, float64, shape [4, 4]; read-only."""
+        return np.frombuffer(self.numbers).reshape((4, 4), order=self.order)
+
+
 @functools.lru_cache(maxsize=256)
-def _without_scale(matrix: bytes, order: Literal["C", "F"]) -> np.ndarray | None:
-    """A matrix of float64, row by row (C) or column by column (F), with axes of unit length, shape [3, 4]; None where
-    it is singular. Renders ask for the same ones again.
-    """
-    numbers = np.frombuffer(matrix).reshape((4, 4), order=order)
+def _without_scale(key: MatrixKey) -> np.ndarray | None:
+    """The matrix with axes of unit length, shape [3, 4]; None where it is singular."""
+    numbers = key.matrix()
     scale = np.linalg.norm(numbers[:3, :3], axis=0)
     axes = numbers[:3, :3] / np.where(scale > 0, scale, 1)
     # axes of unit length span a volume of 1, less where they are sheared

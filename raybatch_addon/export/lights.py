@@ -11,13 +11,14 @@ from __future__ import annotations
 import functools
 from collections.abc import Hashable
 from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias
+from typing import Any, TypeAlias
 
 import bpy
 import numpy as np
 
 from ..core.scene.description import ClosureKind, Light, LightKind, Program, Visibility
 from ..core.scene.notice import Notice, Weight, about
+from .camera import MatrixKey
 from .kept_graphs import KeptGraphs
 from .nodes.collections import Collections
 from .nodes.compile import compile_graph
@@ -175,9 +176,7 @@ def _shape(light: bpy.types.Light, scale: np.ndarray) -> tuple[float, dict | Non
 
 def _placement(obj: bpy.types.Object, matrix: np.ndarray, warnings: list[str]) -> tuple[np.ndarray, np.ndarray] | None:
     """Orthonormal light to world, shape [3, 4], and the scale along its axes, shape [3]; None for a useless matrix."""
-    # in the order of its memory, which sums may follow
-    order: Literal["C", "F"] = "F" if matrix.flags.f_contiguous else "C"
-    found, text, is_left_out = _placed(obj.data.type, matrix.tobytes("A"), order)
+    found, text, is_left_out = _placed(obj.data.type, MatrixKey.of(matrix))
     if text:
         weight = Weight.REPAIRED if is_left_out else Weight.REPLACED
         warnings.append(Notice(f"light “{obj.name}”: {text}", weight, objects=[obj.name]))
@@ -185,11 +184,11 @@ def _placement(obj: bpy.types.Object, matrix: np.ndarray, warnings: list[str]) -
 
 
 @functools.lru_cache(maxsize=1024)
-def _placed(kind: str, numbers: bytes, order: Literal["C", "F"]) -> tuple[_Place | None, str, bool]:
-    """What `_placement` returns for a light of this type and a matrix of float64, row by row (C) or column by column
-    (F), what is wrong with that, and whether the light is left out. Renders ask for the same ones again.
+def _placed(kind: str, key: MatrixKey) -> tuple[_Place | None, str, bool]:
+    """What `_placement` returns for a light of this type and a matrix, what is wrong with that, and whether the light
+    is left out.
     """
-    matrix = np.frombuffer(numbers).reshape((4, 4), order=order)
+    matrix = key.matrix()
     if not np.isfinite(matrix).all():
         return None, "its matrix is not finite; it is left out. Reset its location, rotation and scale", True
     columns, position = matrix[:3, :3], matrix[:3, 3]

@@ -24,7 +24,7 @@ MODULES_A_LINE = 10
 WAIT_SECONDS = 120.0  # for kernels, before they are left to the background: a picture that comes sooner waits for them
 TICK_SECONDS = 0.1
 NICENESS = 10  # renders, tests and checks come first
-KERNELS = ("wait", "later", "start")
+KERNELS = ("wait", "later", "start")  # the first where nothing is said
 GROUPS = ("scripts", "blender", "test")
 
 
@@ -35,11 +35,11 @@ def requirements(pyproject: Path) -> list[str]:
 
 
 def main() -> int:
-    if len(sys.argv) not in (2, 3) or sys.argv[1].startswith("-") or sys.argv[2:] not in ([], *([k] for k in KERNELS)):
+    kernels = sys.argv[2] if len(sys.argv) == 3 else KERNELS[0]
+    if len(sys.argv) not in (2, 3) or sys.argv[1].startswith("-") or kernels not in KERNELS:
         print(f"usage: environment.py FOLDER [{'|'.join(KERNELS)}] (`make environment` calls it)", file=sys.stderr)
         return 2
     folder = Path(sys.argv[1]).absolute()
-    kernels = (*sys.argv[2:], "wait")[0]
     base = Path(getattr(sys, "_base_executable", sys.executable)).resolve()
     wanted = requirements(ROOT / "pyproject.toml")
     # An environment holds absolute paths, so one that was moved is made again.

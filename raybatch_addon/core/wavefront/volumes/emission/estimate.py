@@ -69,7 +69,6 @@ class Looked:
 
     strength: np.ndarray  # intensity, mean of the channels [W/sr]
     rate: np.ndarray  # see `EmissiveCells`
-    extinction: np.ndarray  # mean of the points and channels [1/m]
     fill: np.ndarray  # about the share of the cell that emits
     share: np.ndarray  # of the cell that lies within the surface
 
@@ -130,7 +129,7 @@ class Estimates:
         corner, edges = self.placed(parts)
         share = self._inside(parts)
         longest = np.linalg.norm(self.edges[parts.of], axis=1).max(1)
-        light, square, dims, densest = (np.zeros(shape) for _ in range(4))
+        light, square, densest = (np.zeros(shape) for _ in range(3))
         by_program = np.array([volume.program is not None for volume in self._filling])[self._volume[parts.of]]
         for number in np.unique(self._volume[parts.of[~by_program]]).tolist():
             these = np.flatnonzero(~by_program & (self._volume[parts.of] == number))
@@ -138,19 +137,19 @@ class Estimates:
             for closure in self._filling[number].closures:
                 weights[closure.kind == ClosureKind.EMISSION] += np.asarray(closure.weight, float)
             scale = self._scale[parts.of[these], None]
-            light[these], dims[these] = scale * weights[True].mean(), scale * weights[False].mean()
+            light[these] = scale * weights[True].mean()
             square[these], densest[these] = light[these] ** 2, scale * weights[False].max()
         rate = densest + POINTS / longest[:, None]
         if by_program.any():
             found, means = self._evaluated(parts.of[by_program], corner[by_program], edges[by_program], count)
-            light[by_program], square[by_program], dims[by_program] = np.moveaxis(means, -1, 0)
+            light[by_program], square[by_program] = means[..., 0], means[..., 1]
             least = (CELLS_MOST if self._volumes.varies else POINTS) / longest[by_program, None]
             rate[by_program] = np.maximum(found, least)
         with np.errstate(all="ignore"):
             strength = light * share * np.abs(np.linalg.det(edges))[:, None] / count**3
             strength = np.where(np.isfinite(strength), _spread(strength, count) * (share > 0), 0.0)
             fill = share * np.where(square > 0, light**2 / square, 0.0)
-        return Looked(strength, rate, dims, fill, share)
+        return Looked(strength, rate, fill, share)
 
     def _inside(self, parts: CellBoxes) -> np.ndarray:
         """Share of each cell that is in the surface, float64, shape [g, count^3]; alike parts are looked at once."""
