@@ -28,10 +28,15 @@ KERNELS = ("wait", "later", "start")  # the first where nothing is said
 GROUPS = ("scripts", "blender", "test")
 
 
-def requirements(pyproject: Path) -> list[str]:
-    """Everything that pyproject.toml asks for, in its own words."""
+def requirements(pyproject: Path) -> tuple[list[str], list[str]]:
+    """Everything that pyproject.toml asks for, in its own words: what the core needs, by which kernels can be compiled,
+    and the rest.
+    """
     project = tomllib.loads(pyproject.read_text(encoding="utf-8"))["project"]
-    return project["dependencies"] + [line for group in GROUPS for line in project["optional-dependencies"][group]]
+    rest = [line for group in GROUPS for line in project["optional-dependencies"][group]]
+    # NumPy in the version that Blender's module wants, or another one would take its place while kernels are compiled
+    core = project["dependencies"] + [line for line in rest if line.startswith("numpy")]
+    return core, [line for line in rest if line not in core]
 
 
 def main() -> int:
@@ -41,21 +46,34 @@ def main() -> int:
         return 2
     folder = Path(sys.argv[1]).absolute()
     base = Path(getattr(sys, "_base_executable", sys.executable)).resolve()
-    wanted = requirements(ROOT / "pyproject.toml")
+    core, rest = requirements(ROOT / "pyproject.toml")
     # An environment holds absolute paths, so one that was moved is made again.
-    identity = json.dumps([wanted, "{}.{}".format(*sys.version_info), str(folder)])
+    identity = json.dumps([core, rest, "{}.{}".format(*sys.version_info), str(folder)])
     installed, compiled = folder / "raybatch-environment", folder / "raybatch-kernels"
     expected = hashlib.sha256(identity.encode()).hexdigest()
     python = folder / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
+    command = [str(python), str(ROOT / "scripts/render.py"), "--prewarm", "--device", "cpu"]
+    log = folder / "raybatch-kernels.log"
+    compiler = None
     if not is_stamped(installed, expected):
         if Path(sys.prefix).resolve() == folder.resolve():  # it cannot clear itself: the Python it came from does it
             return subprocess.call([str(base), __file__, *sys.argv[1:]])
-        if code := install(folder, base, python, wanted):
+        make(folder, base)
+        if code := install(python, core):
+            return code
+        if kernels != "later":  # beside the installation, which leaves processors idle
+            compiler = begin_apart(command, log)
+        code = 1
+        try:
+            code = install(python, rest)
+        finally:
+            if code and compiler:
+                compiler.terminate()
+        if code:
             return code
         installed.write_text(expected + "\n", encoding="ascii")
     if kernels != "later" and not is_stamped(compiled, expected):
-        command = [str(python), str(ROOT / "scripts/render.py"), "--prewarm", "--device", "cpu"]
-        compile_kernels(command, folder / "raybatch-kernels.log", WAIT_SECONDS if kernels == "wait" else 0.0)
+        watch(compiler or begin_apart(command, log), log, WAIT_SECONDS if kernels == "wait" else 0.0)
         compiled.write_text(expected + "\n", encoding="ascii")
     return 0
 
@@ -65,13 +83,17 @@ def is_stamped(stamp: Path, expected: str) -> bool:
     return stamp.is_file() and stamp.read_text(encoding="ascii").strip() == expected
 
 
-def install(folder: Path, base: Path, python: Path, wanted: Sequence[str]) -> int:
-    """Make the environment in `folder` by the Python `base`, and install what is `wanted` there; pip's exit code."""
+def make(folder: Path, base: Path) -> None:
+    """Make an empty environment in `folder`; `base` is the Python that runs."""
     print(
         f"RayBatch: making {folder.name} with Python {sys.version.split()[0]} ({base}); this takes a few minutes once",
         file=sys.stderr,
     )
     venv.EnvBuilder(clear=True, with_pip=True, symlinks=sys.platform != "win32").create(folder)
+
+
+def install(python: Path, wanted: Sequence[str]) -> int:
+    """Install what is `wanted` in the environment of `python`; pip's exit code."""
     pip = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-input", *wanted]
     code = subprocess.call(pip, stdin=subprocess.DEVNULL, stdout=sys.stderr)
     if code:
@@ -82,14 +104,13 @@ def install(folder: Path, base: Path, python: Path, wanted: Sequence[str]) -> in
     return code
 
 
-def compile_kernels(command: Sequence[str], log: Path, seconds: float) -> None:
-    """Run `command`, which compiles kernels and writes to the file `log`, and wait for it for so many `seconds`.
+def watch(process: subprocess.Popen, log: Path, seconds: float) -> None:
+    """Wait for `process`, which compiles kernels and writes to the file `log`, for so many `seconds`, and tell of it.
 
     After them it goes on in the background: renders compile what they need, and need not wait for the rest.
     """
     print("RayBatch: compiling the kernels that any scene can begin with", file=sys.stderr, flush=True)
     deadline = time.monotonic() + seconds
-    process = begin_apart(command, log)
     said = reached = rest = ""  # last, beside how far it is; that; and a line that is not whole yet
     try:
         with log.open(encoding="utf-8", errors="replace") as lines:

@@ -49,6 +49,16 @@ class LightHitFeatures:
     volume_lights: bool = False
 
 
+@wp.struct
+class LightHit:
+    """A light that a ray meets."""
+
+    item: int  # its place in the tree over lights; -1: the ray meets no more
+    emitter: int
+    distance: float  # along the ray [m], less its error
+    radiance: wp.vec3  # weighted
+
+
 class LightHits(NamedTuple):
     """Functions (`wp.Function`) of one specialisation.
 
@@ -63,9 +73,9 @@ class LightHits(NamedTuple):
     # (table, nodes, point, direction, visibility, bsdf_pdf, bounce, passed) -> vec3: weighted radiance of the suns, for
     # a ray that leaves the scene
     miss: wp.Function
-    # (light: LightRecord, origin, direction) -> LightSample: one light, without its emission; None where no light that
-    # has a place is met
-    meet: wp.Function | None
+    # (the same, item: int) -> LightHit: the first of these lights after `item`, in the order of the tree, or after none
+    # where it is -1; None where no light that has a place is met
+    following: wp.Function | None
 
 
 @functools.cache
@@ -106,6 +116,55 @@ def make_light_hits(features: LightHitFeatures) -> LightHits:
         return s
 
     @wp.func
+    def following(
+        table: LightTable,
+        nodes: NodeData,
+        point: LitPoint,
+        direction: wp.vec3,
+        t_min: float,
+        t_max: float,
+        visibility: int,
+        bsdf_pdf: float,
+        bounce: int,
+        passed: int,
+        item: int,
+    ) -> LightHit:
+        hit = LightHit()
+        hit.item = -1
+        if (table.tree_visibility & visibility) != 0:
+            origin = point.position
+            reach = t_max * wp.static(1.0 + 2.0 * ERROR_SHARE_MOST)
+            at = int(item)
+            while hit.item < 0:
+                at = next_met(table.tree, origin, direction, reach, at)
+                if at < 0:
+                    break
+                emitter = light_of(table.tree, table.tree_leaf, at)
+                light = table.lights[emitter]
+                sampled = bsdf_pdf > 0.0 and found_by_sampling(table, emitter, light.visibility)
+                if (light.visibility & visibility) != 0 and not sampled and counts(table, emitter, point):
+                    met = meet_shape(light, origin, direction)
+                    # what lies in the plane of a lamp is behind it, as for rays that are aimed at the lamp
+                    t = met.distance - met.distance_error
+                    if met.pdf > 0.0 and t >= t_min and t < t_max:
+                        weight = float(1.0)
+                        if bsdf_pdf > 0.0:
+                            weight = hit_weight(bsdf_pdf, met.pdf * selection_pdf(table, point, emitter))
+                        radiance = wp.cw_mul(met.radiance, light.emission)
+                        if wp.static(has_programs):
+                            if light.program != 0:
+                                position = origin + met.distance * direction
+                                emitted = lamp_emission(
+                                    nodes, table, emitter, position, direction, met.distance, bounce, passed
+                                )
+                                radiance = wp.cw_mul(radiance, emitted)
+                        hit.item = at
+                        hit.emitter = emitter
+                        hit.distance = t
+                        hit.radiance = weight * radiance
+        return hit
+
+    @wp.func
     def intersect(
         table: LightTable,
         nodes: NodeData,
@@ -119,35 +178,16 @@ def make_light_hits(features: LightHitFeatures) -> LightHits:
         passed: int,
     ) -> wp.vec3:
         total = wp.vec3()
-        origin = point.position
         if wp.static(met_in_space):
-            if (table.tree_visibility & visibility) != 0:
-                reach = t_max * wp.static(1.0 + 2.0 * ERROR_SHARE_MOST)
-                item = int(-1)
-                while True:
-                    item = next_met(table.tree, origin, direction, reach, item)
-                    if item < 0:
-                        break
-                    emitter = light_of(table.tree, table.tree_leaf, item)
-                    light = table.lights[emitter]
-                    sampled = bsdf_pdf > 0.0 and found_by_sampling(table, emitter, light.visibility)
-                    if (light.visibility & visibility) != 0 and not sampled and counts(table, emitter, point):
-                        met = meet_shape(light, origin, direction)
-                        # what lies in the plane of a lamp is behind it, as for rays that are aimed at the lamp
-                        t = met.distance - met.distance_error
-                        if met.pdf > 0.0 and t >= t_min and t < t_max:
-                            weight = float(1.0)
-                            if bsdf_pdf > 0.0:
-                                weight = hit_weight(bsdf_pdf, met.pdf * selection_pdf(table, point, emitter))
-                            radiance = wp.cw_mul(met.radiance, light.emission)
-                            if wp.static(has_programs):
-                                if light.program != 0:
-                                    position = origin + met.distance * direction
-                                    emitted = lamp_emission(
-                                        nodes, table, emitter, position, direction, met.distance, bounce, passed
-                                    )
-                                    radiance = wp.cw_mul(radiance, emitted)
-                            total += weight * radiance
+            item = int(-1)
+            while True:
+                hit = following(
+                    table, nodes, point, direction, t_min, t_max, visibility, bsdf_pdf, bounce, passed, item
+                )
+                if hit.item < 0:
+                    break
+                total += hit.radiance
+                item = hit.item
         return total
 
     @wp.func
@@ -183,4 +223,4 @@ def make_light_hits(features: LightHitFeatures) -> LightHits:
                         total += weight * radiance
         return total
 
-    return LightHits(intersect, miss, meet_shape if met_in_space else None)
+    return LightHits(intersect, miss, following if met_in_space else None)

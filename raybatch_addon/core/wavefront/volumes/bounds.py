@@ -79,7 +79,7 @@ def make_bound(programs: ProgramFeatures, emission: bool = False) -> wp.Function
         y = (cell / cells) % cells
         x = cell / (cells * cells)
         largest = float(0.0)
-        emitted = wp.vec3(0.0)
+        emitted = wp.vec2(0.0)
         points = int(_POINTS)
         more = volumes.asked.places.shape[0] / (volumes.asked.boxes.shape[0] * per_box)
         for k in range(points + more):
@@ -105,8 +105,7 @@ def make_bound(programs: ProgramFeatures, emission: bool = False) -> wp.Function
                 m = medium(volumes, inside, point, lobes)
                 if wp.static(emission):
                     light = wp.min((m.emission[0] + m.emission[1] + m.emission[2]) / 3.0, 1.0e18)
-                    dims = wp.min((m.extinction[0] + m.extinction[1] + m.extinction[2]) / 3.0, 1.0e18)
-                    emitted += wp.vec3(light, light * light, dims) / wp.static(float(_POINTS))
+                    emitted += wp.vec2(light, light * light) / wp.static(float(_POINTS))
                 for axis in range(3):
                     # an emission alone must be met too, however little is there
                     least = wp.where(m.emission[axis] > 0.0, box.flights, 0.0)

@@ -53,8 +53,8 @@ class BoundWork:
     rays: int  # kinds of rays that are looked at, see `bounds.py`
     places: wp.array(dtype=wp.vec3)  # where more is looked at: as many points of each cell [m]; or none
     found: wp.array(dtype=float)  # result of each cell: the largest extinction [1/m]
-    # and, where volumes are emitters: means of emission [W/(m³ sr)], its square, and extinction [1/m]; or none
-    emitted: wp.array(dtype=wp.vec3)
+    # and, where volumes are emitters: means of emission [W/(m³ sr)] and of its square; or none
+    emitted: wp.array(dtype=wp.vec2)
 
 
 @wp.struct

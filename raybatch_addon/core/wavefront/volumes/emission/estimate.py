@@ -178,7 +178,7 @@ class Estimates:
         self, of: np.ndarray, corner: np.ndarray, edges: np.ndarray, count: int
     ) -> tuple[np.ndarray, np.ndarray]:
         """Of each cell of boxes of volumes with programs: the largest extinction [1/m], and means as in
-        `BoundWork.emitted`; float64, shapes [g, count^3] and [g, count^3, 3].
+        `BoundWork.emitted`; float64, shapes [g, count^3] and [g, count^3, 2].
         """
         volumes = self._volumes
         boxes = np.zeros(len(of), BoundBox.numpy_dtype())
@@ -187,12 +187,12 @@ class Estimates:
         asked = BoundWork()
         asked.boxes, asked.cells, asked.rays = wp.array(boxes, dtype=BoundBox, device=self._device), count, 1
         asked.found = wp.zeros(len(of) * count**3, dtype=float, device=self._device)
-        asked.emitted = wp.zeros(len(of) * count**3, dtype=wp.vec3, device=self._device)
+        asked.emitted = wp.zeros(len(of) * count**3, dtype=wp.vec2, device=self._device)
         world, volumes.world, volumes.asked = volumes.world, -1, asked
         self._launch(volumes, len(of) * count**3)
         volumes.asked, volumes.world = BoundWork(), world
         found, emitted = asked.found.numpy().astype(np.float64), asked.emitted.numpy().astype(np.float64)
-        return found.reshape(len(of), -1), emitted.reshape(len(of), -1, 3)
+        return found.reshape(len(of), -1), emitted.reshape(len(of), -1, 2)
 
 
 def _spread(strength: np.ndarray, n: int) -> np.ndarray:
