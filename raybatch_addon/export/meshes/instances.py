@@ -82,8 +82,8 @@ class PlacementCollector:
         # what is placed, and the part of `Placements.info` that is the object's: the mesh as all rays see it, and what
         # the camera sees of a holdout object
         self._placed: dict[Hashable, tuple[list[Template], tuple[float, ...]]] = {}
-        # of what one object placed in a row: keys of `_placed`, by addresses of the original and of its data
-        self._parent, self._of_parent = 0, dict[tuple[int, int], Hashable]()
+        # of what one object placed in a row: keys of `_placed`, by the original and its data
+        self._parent, self._of_parent = 0, dict[tuple[int, int, int], Hashable]()
         self._meshes: dict[Hashable, int | None] = {}
         self._attributes_seen: dict[Hashable, set[tuple[str, str]]] = {}  # attributes read, by mesh
         self._object_index: dict[str, int] = {}
@@ -128,7 +128,7 @@ class PlacementCollector:
         address = original.as_pointer()
         again = None
         if parent is not None and data is not None and self._live is None:
-            owner, again = parent.as_pointer(), (address, data.as_pointer())
+            owner, again = parent.as_pointer(), (address, data.as_pointer(), data.session_uid)
             if owner != self._parent:
                 self._parent, self._of_parent = owner, {}
             elif again in self._of_parent:

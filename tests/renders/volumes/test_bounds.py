@@ -159,8 +159,27 @@ def test_a_volume_far_from_the_origin_takes_no_more_flights(session, size):
         view = scenes.camera(eye=tuple(middle + (0.05 * size, -2 * size, 0.3 * size)), target=tuple(middle))
         placed = scenes.box("cube", size), scenes.translation(*middle), filled(absorbing(density))
         made = scenes.scene([placed], world=1.0, frame=Frame(16, 16), view=view)
-        films.append(session.render(made, RenderSettings(sample_count=16, bounce_max=0)))
+        films.append(session.render(made, RenderSettings(sample_count=256, bounce_max=0)))
     near, far = (film.passes["Combined"][..., :3].mean() for film in films)
     assert abs(far - near) < 0.02 * near < 0.02
     near, far = (film.statistics["rays"]["total"] for film in films)
     assert far < 1.1 * near
+
+
+def test_a_layer_across_a_ray_is_met_where_another_coordinate_is_large(session):
+    """Cells are as fine as elsewhere along the ray, while across it float32 hardly tells them apart."""
+    size = 0.01
+
+    def layer(builder):
+        y = builder.value("separate_xyz", builder.value("object_coordinates", 0))[1]
+        beyond = builder.value("math", int(MathOperation.GREATER_THAN), False, y, 0.1 * size, 0.0)
+        return builder.value("math", int(MathOperation.MULTIPLY), False, beyond, 10 / size, 0.0)
+
+    films = []
+    for far in (0.0, 2e4):
+        view = scenes.camera(eye=(far, -20 * size, 0), target=(far, 0, 0), half_width=0.01)
+        placed = scenes.box("cube", size), scenes.translation(far, 0, 0), filled(absorbing(layer))
+        made = scenes.scene([placed], world=1.0, frame=Frame(8, 8), view=view)
+        films.append(session.render(made, RenderSettings(sample_count=64, bounce_max=0)))
+    near, far = (film.passes["Combined"][..., :3].mean() for film in films)
+    assert abs(near - math.exp(-4)) < 0.02 and abs(far - math.exp(-4)) < 0.02

@@ -1,7 +1,7 @@
 """Volumes of which a small part of their box emits: cells are divided there, and closed forms hold."""
 
 import math
-import time
+from collections import Counter
 
 import numpy as np
 import pytest
@@ -10,8 +10,8 @@ import warp as wp
 from raybatch_addon.core.programs.builder import ProgramBuilder
 from raybatch_addon.core.programs.ops.values.math import MathOperation
 from raybatch_addon.core.scene.description import Frame, Mesh, Scene, Volume
-from raybatch_addon.core.wavefront.volumes.emission.cells import find_cells
-from raybatch_addon.core.wavefront.volumes.table import VolumeData
+from raybatch_addon.core.wavefront.volumes.emission.cells import FoundCells, find_cells
+from raybatch_addon.core.wavefront.volumes.table import PART, VolumeData
 from tests.renders.volumes.test_volume_lights import ALBEDO, NARROW, run_means
 from tests.renders.volumes.test_volumes import filled, medium, picture
 from tests.support import scenes, under_test
@@ -80,17 +80,35 @@ def test_a_small_flame_in_a_large_box(session):
     assert_found(session, scene, lit_floor(np.array([[0, 0, 1.1]]), 4 / 3 * math.pi * 0.05**3), 0.3)
 
 
-def test_cells_of_many_objects_are_found_together():
-    """10,000 in 0.5 s on two cores; one after another they took ten times as long."""
-    cube, filling = scenes.box("cube", 0.1), filled(medium(emission=1.0))
-    scene = scenes.scene([(cube, scenes.translation(k % 100, k // 100, 0), filling) for k in range(10000)])
+def found_cells(scene: Scene) -> FoundCells:
     volumes = VolumeData()
     volumes.volume_count, volumes.world = 1, -1
     device = wp.get_device(under_test.DEVICE)
-    seconds = []
-    for _ in range(3):
-        begun = time.process_time()
-        found = find_cells(volumes, scene, np.zeros(len(scene.materials), np.int32), lambda asked, count: None, device)
-        seconds.append(time.process_time() - begun)
-        assert found is not None and np.array_equal(np.unique(found.cells.instance), np.arange(10000))
-    assert min(seconds) < 3, seconds
+    found = find_cells(volumes, scene, np.zeros(len(scene.materials), np.int32), lambda asked, count: None, device)
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize("far", [0.0, 1e4])
+def test_cells_are_no_narrower_than_float32_tells(far):
+    """Points that were drawn in one and rounded into another one would count for both."""
+    placed = joined(), scenes.translation(far, 0, 0), filled(medium(emission=EMISSION))
+    halves = np.linalg.norm(found_cells(scenes.scene([placed])).cells.half, axis=2)
+    assert 2 * halves.min() >= 64 * np.spacing(np.float32(far))
+    assert (2 * halves.min() < SPAN / 16 / PART / 2) == (far == 0), "near the origin they are divided twice"
+
+
+def test_cells_of_many_objects_are_found_together(monkeypatch):
+    """All launches are those of one object, and one tree is built for the surface that they share."""
+    cube, filling = scenes.box("cube", 0.1), filled(medium(emission=1.0))
+    done = Counter()
+    for name in ("launch", "Mesh"):
+        made = getattr(wp, name)
+        monkeypatch.setattr(wp, name, lambda *a, made=made, name=name, **k: done.update([name]) or made(*a, **k))
+    counts = []
+    for n in (1, 10000):
+        done.clear()
+        scene = scenes.scene([(cube, scenes.translation(k % 100, k // 100, 0), filling) for k in range(n)])
+        assert np.array_equal(np.unique(found_cells(scene).cells.instance), np.arange(n))
+        counts.append(dict(done))
+    assert counts[0] == counts[1] and counts[0]["Mesh"] == 1

@@ -24,6 +24,7 @@ auto choose_one = [&](const Shares& shares) {
     __builtin_memcpy(&ends, shares.begin + 1, sizeof(ends));
     const Flags are_before = __builtin_convertvector(ends <= draw, Flags);
     unsigned short bits_before;
+    static_assert(sizeof(are_before) == sizeof(bits_before), "a bit for each of WIDTH");
     __builtin_memcpy(&bits_before, &are_before, sizeof(bits_before));
     chosen = __builtin_popcount(bits_before);
 #endif

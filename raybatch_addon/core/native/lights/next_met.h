@@ -32,6 +32,7 @@ auto entered = [&](const auto& block) -> unsigned {
     __builtin_memcpy(&last, &block.last, sizeof(last));
     const Flags flags = __builtin_convertvector((last > before) & (first <= end) & (first < t_max), Flags);
     unsigned short found;
+    static_assert(sizeof(flags) == sizeof(found), "a bit for each of WIDTH");
     __builtin_memcpy(&found, &flags, sizeof(found));
     return found;
 #endif

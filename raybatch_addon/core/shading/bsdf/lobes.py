@@ -85,9 +85,9 @@ class PickedLobe:
 def pick_lobe(lobes: wp.array(dtype=Lobe), count: int, u: float) -> PickedLobe:
     """Choose one of `count` lobes in proportion to `selection` by `u` in [0, 1).
 
-    Each has one interval of `u`, in their order. What is left is counted from the end of [0, 1) where the interval has
-    one: so what is rare in a closure lies at that end, and the evenly spaced numbers of each pixel find it equally
-    often.
+    Each has one interval of `u`, in their order. What is left of `u` grows from 0 to 1 in the first one, and falls from
+    1 to 0 in all others: so what is rare in the first or the last closure lies at an end of [0, 1), where the evenly
+    spaced numbers of each pixel find it equally often.
     """
     picked = PickedLobe()
     picked.offset = -1

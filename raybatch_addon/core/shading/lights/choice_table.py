@@ -29,7 +29,7 @@ class LightLinks:
     """Receivers of emitters' light, and the groups that emitters are in; arrays that a scene does not need have no
     entries.
 
-    Owners of light are lights without mesh, then instances, and last the world.
+    Owners of light are lights without mesh, cells of volumes among them, then instances, and last the world.
     """
 
     receiver: wp.array(dtype=int)  # the light set that each instance is lit as

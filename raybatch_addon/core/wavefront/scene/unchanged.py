@@ -20,7 +20,7 @@ from ...shading.volumes.grids import grid_digest
 Made = TypeVar("Made")
 
 
-# Things up to this size are kept beside the last one, and so many of them in all: view layers of a frame take turns
+# Things up to this size are kept beside one another, and so many of them in all: view layers of a frame take turns
 _SMALL, _KEPT_MOST = 1 << 20, 12  # [bytes]
 
 
@@ -41,11 +41,6 @@ class LastSmall(Generic[Made]):
             self._kept.remove(found)
         self._kept = [*self._kept[1 - _KEPT_MOST :], found]
         return found[1]
-
-    @property
-    def made(self) -> Made | None:
-        """What was used last."""
-        return self._kept[-1][1] if self._kept else None
 
     @property
     def bytes(self) -> int:

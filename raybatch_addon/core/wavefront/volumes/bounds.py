@@ -31,7 +31,7 @@ from .table import BoundBox, Bounds, BoundWork, VolumeData
 
 # Cells along each axis at most, cells of all volumes together, and points of a cell
 CELLS_MOST, CELLS_TOGETHER = 32, 1 << 20
-_POINTS = 8
+CELL_POINTS = 8
 # A volume is taken to be this much denser than at the densest point that was found
 _MARGIN = 1.1
 # Flights along an edge of a cell at most: what is denser lets nothing through a small part of the cell
@@ -59,6 +59,19 @@ class Bounded:
     mesh: Mesh | None = None  # that has grids; None: the world
 
 
+@wp.func
+def point_of_cell(number: int, cells: int, k: int) -> wp.vec3:
+    """Point `k` of cell `number` of `cells`^3, the last axis changing fastest, drawn at random: from the corner of
+    their box [cells].
+    """
+    seed = mix_bits(wp.uint32(number * wp.static(CELL_POINTS) + k))
+    return wp.vec3(
+        float(number / (cells * cells)) + sequence_number(seed),
+        float((number / cells) % cells) + sequence_number(mix_bits(seed + wp.uint32(1))),
+        float(number % cells) + sequence_number(mix_bits(seed + wp.uint32(2))),
+    )
+
+
 @functools.cache
 def make_bound(programs: ProgramFeatures, emission: bool = False) -> wp.Function:
     """Function (volumes, i: int): finds the largest extinction at points of cell `i` of the boxes that are `asked` for,
@@ -75,21 +88,12 @@ def make_bound(programs: ProgramFeatures, emission: bool = False) -> wp.Function
         inside = wp.vec4i(box.code, 0, 0, 0)
         floats = wp.zeros(wp.static(LOBES_MOST * PHASE_LOBE_FLOATS), dtype=float)
         lobes = wp.array(ptr=address_of(floats), shape=(wp.static(LOBES_MOST),), dtype=PhaseLobe)
-        z = cell % cells
-        y = (cell / cells) % cells
-        x = cell / (cells * cells)
         largest = float(0.0)
         emitted = wp.vec2(0.0)
-        points = int(_POINTS)
+        points = int(CELL_POINTS)
         more = volumes.asked.places.shape[0] / (volumes.asked.boxes.shape[0] * per_box)
         for k in range(points + more):
-            seed = mix_bits(wp.uint32(cell * points + k))
-            u = wp.vec3(
-                float(x) + sequence_number(seed),
-                float(y) + sequence_number(mix_bits(seed + wp.uint32(1))),
-                float(z) + sequence_number(mix_bits(seed + wp.uint32(2))),
-            )
-            place = box.origin + box.edges * (u / float(cells))
+            place = box.origin + box.edges * (point_of_cell(cell, cells, k) / float(cells))
             if k >= points:
                 place = volumes.asked.places[i * more + k - points]
             time = float(0.0)
@@ -105,7 +109,7 @@ def make_bound(programs: ProgramFeatures, emission: bool = False) -> wp.Function
                 m = medium(volumes, inside, point, lobes)
                 if wp.static(emission):
                     light = wp.min((m.emission[0] + m.emission[1] + m.emission[2]) / 3.0, 1.0e18)
-                    emitted += wp.vec2(light, light * light) / wp.static(float(_POINTS))
+                    emitted += wp.vec2(light, light * light) / wp.static(float(CELL_POINTS))
                 for axis in range(3):
                     # an emission alone must be met too, however little is there
                     least = wp.where(m.emission[axis] > 0.0, box.flights, 0.0)
@@ -287,16 +291,13 @@ def bounded_volumes(
 ) -> list[Bounded]:
     """All volumes of `scene` with programs, of each instance one; the world's is taken to fill `world_box`."""
     result = []
-    slot_counts: dict[int, int] = {}  # by mesh
     instances = scene.instances
     moves = moving_instances(scene)
     for instance, mesh_index in enumerate(instances.mesh.tolist()):
         mesh = scene.meshes[mesh_index]
         if len(mesh.triangles) == 0 or mesh.radii is not None:
             continue
-        if mesh_index not in slot_counts:
-            slot_counts[mesh_index] = 1 if mesh.triangle_slot is None else int(mesh.triangle_slot.max()) + 1
-        slots = slot_counts[mesh_index]
+        slots = slot_count(mesh)
         first = int(instances.slot_first[instance])
         for volume in sorted({int(volume_of[m]) for m in scene.slot_materials[first : first + slots]}):
             if volume >= 0 and has_program[volume]:
@@ -306,6 +307,15 @@ def bounded_volumes(
     if scene.world.volume is not None and has_program[-1]:
         result.append(Bounded(-1, len(has_program) - 1, world_box, np.eye(3, 4)))
     return result
+
+
+def slot_count(mesh: Mesh) -> int:
+    """How many slots of materials the triangles of `mesh` have."""
+    return 1 if mesh.triangle_slot is None else fact(mesh.triangle_slot, _largest) + 1
+
+
+def _largest(numbers: np.ndarray) -> int:
+    return int(numbers.max())
 
 
 def _box_of_steps(positions: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ from ...programs.point import IN_VOLUME, ShadingPoint
 from ...programs.run import make_run
 from ...programs.uniform import is_uniform
 from ...scene.description import ClosureKind
-from ...scene.geometry import transform_point, transform_vector
+from ...scene.geometry import mat34, transform_point, transform_vector
 from ...scene.moved import inverse_at, motion_row
 from ...scene.program import ProgramFeatures
 from ...shading.bsdf.materials import RECORD_FLOATS, ClosureRecord, address_of, address_of_closure
@@ -157,10 +157,20 @@ def varies_along(volumes: VolumeData, inside: wp.vec4i) -> bool:
 
 
 @wp.func
+def _reach_of(m: mat34, extent: wp.vec3) -> wp.vec3:
+    # half the extent of the image of a box of this half extent
+    return wp.vec3(
+        wp.abs(m[0, 0]) * extent[0] + wp.abs(m[0, 1]) * extent[1] + wp.abs(m[0, 2]) * extent[2],
+        wp.abs(m[1, 0]) * extent[0] + wp.abs(m[1, 1]) * extent[1] + wp.abs(m[1, 2]) * extent[2],
+        wp.abs(m[2, 0]) * extent[0] + wp.abs(m[2, 1]) * extent[1] + wp.abs(m[2, 2]) * extent[2],
+    )
+
+
+@wp.func
 def bound_ahead(volumes: VolumeData, inside: wp.vec4i, origin: wp.vec3, direction: wp.vec3, time: float) -> Reach:
     """A bound of the extinction ahead of `origin` at `time`: of what programs give an estimate, of constants their sum.
-    Where constants emit light, there is a flight a cell at least. It is taken to hold as far as the next point that
-    float32 tells from `origin`, which may be cells ahead far from the world's origin.
+    Where constants emit light, there is a flight a cell at least. Along each axis of the cells it is taken to hold as
+    far as the next place that float32 tells from `origin`, which may be cells ahead far from the world's origin.
     """
     reach = Reach()
     emits = bool(False)
@@ -188,12 +198,15 @@ def bound_ahead(volumes: VolumeData, inside: wp.vec4i, origin: wp.vec3, directio
                 grid = volumes.grids[number]
                 at = origin
                 ahead = direction
+                told = wp.static(2.0 * UNIT_ROUNDOFF) * wp.vec3(wp.abs(origin[0]), wp.abs(origin[1]), wp.abs(origin[2]))
                 if found[0] >= 0:
                     row = motion_row(volumes.nodes.geometry, found[0])
                     if row >= 0:
                         to_object = inverse_at(volumes.nodes.geometry, row, time)
                         at = transform_point(to_object, at)
                         ahead = transform_vector(to_object, ahead)
+                        told = _reach_of(to_object, told)
+                told = _reach_of(grid.to_cells, told)
                 at = transform_point(grid.to_cells, at)
                 ahead = transform_vector(grid.to_cells, ahead)
                 cell = wp.vec3i(0, 0, 0)
@@ -201,21 +214,22 @@ def bound_ahead(volumes: VolumeData, inside: wp.vec4i, origin: wp.vec3, directio
                 beyond = bool(False)
                 cells_per_length = wp.max(cells_per_length, wp.length(ahead))
                 for axis in range(3):
+                    least = wp.max(told[axis], wp.static(_CELL_STEP))
                     if found[0] < 0:
                         last = float(grid.size[axis]) * wp.static(1.0 + WORLD_REACH)
                         first = float(grid.size[axis]) * wp.static(-WORLD_REACH)
                         if at[axis] >= last or at[axis] <= first:
                             beyond = True
                         if ahead[axis] > 0.0:
-                            length = wp.min(length, wp.max(last - at[axis], wp.static(_CELL_STEP)) / ahead[axis])
+                            length = wp.min(length, wp.max(last - at[axis], least) / ahead[axis])
                         if ahead[axis] < 0.0:
-                            length = wp.min(length, wp.max(at[axis] - first, wp.static(_CELL_STEP)) / -ahead[axis])
+                            length = wp.min(length, wp.max(at[axis] - first, least) / -ahead[axis])
                     k = wp.clamp(int(wp.floor(wp.clamp(at[axis], -1.0, 1.0e6))), 0, grid.size[axis] - 1)
                     cell[axis] = k
                     if ahead[axis] > 0.0 and k < grid.size[axis] - 1:
-                        length = wp.min(length, wp.max(float(k + 1) - at[axis], wp.static(_CELL_STEP)) / ahead[axis])
+                        length = wp.min(length, wp.max(float(k + 1) - at[axis], least) / ahead[axis])
                     if ahead[axis] < 0.0 and k > 0:
-                        length = wp.min(length, wp.max(at[axis] - float(k), wp.static(_CELL_STEP)) / -ahead[axis])
+                        length = wp.min(length, wp.max(at[axis] - float(k), least) / -ahead[axis])
                 index = grid.first + (cell[0] * grid.size[1] + cell[1]) * grid.size[2] + cell[2]
                 if beyond:
                     length = wp.static(FARTHEST)
@@ -224,8 +238,6 @@ def bound_ahead(volumes: VolumeData, inside: wp.vec4i, origin: wp.vec3, directio
                 reach.length = wp.min(reach.length, length)
     if emits:
         reach.bound = wp.max(reach.bound, cells_per_length)
-    largest = wp.max(wp.abs(origin[0]), wp.max(wp.abs(origin[1]), wp.abs(origin[2])))
-    reach.length = wp.max(reach.length, wp.static(2.0 * UNIT_ROUNDOFF) * largest)
     return reach
 
 

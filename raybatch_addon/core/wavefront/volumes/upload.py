@@ -15,16 +15,14 @@ from ...programs.table import store_programs, upload_programs
 from ...scene.description import ClosureKind, Mesh, Scene, Volume
 from ...scene.features import SceneFeatures, narrow, scene_volumes
 from ...scene.geometry import Geometry
-from ...scene.linking import links_lights
 from ...scene.motion import apart
-from ...scene.passes import light_group_passes
 from ...shading.bsdf.materials import ClosureRecord, fill_record
 from ...shading.images.textures import ImageTable
 from ...shading.lights.emitters import EmissiveCells
 from ...shading.volumes.enclosures import upload_enclosures
 from ..scene.unchanged import Last, bounds_key
 from .bounds import RAYS, FoundBounds, bounded_volumes, find_bounds, goes_on_beyond
-from .emission.cells import FoundCells, find_cells
+from .emission.cells import FoundCells, find_cells, has_owners
 from .features import VolumeFeatures
 from .grids import GridCache, density_scale, upload_grids
 from .kernels import launch_bound
@@ -159,7 +157,7 @@ def _emission(
     arrays, values = key
     links = scene.instances.links
     seen = scene.instances.visibility.tobytes(), apart(scene).tobytes(), None if links is None else links.tobytes()
-    owned = links_lights(scene), bool(light_group_passes(scene.frame.passes))
+    owned = has_owners(scene)
     closures = tuple(volume.closures for volume in scene_volumes(scene))
     found = kept.get(
         (arrays, (values, closures, seen, owned)),

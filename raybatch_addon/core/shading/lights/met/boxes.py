@@ -112,5 +112,5 @@ def _sort(middle: np.ndarray, order: np.ndarray) -> None:
         half = max(round(len(part) / full / 2), 1) * full
         at = middle[part]
         axis = int(np.argmax(at.max(0) - at.min(0)))
-        part[:] = part[np.argpartition(at[:, axis], half)]
+        part[:] = part[np.argsort(at[:, axis], kind="stable")]  # not by parts, whose order is the processor's
         parts += [part[:half], part[half:]]

@@ -37,12 +37,15 @@ def aimed_volumes(scene: Scene, volume_of: np.ndarray) -> tuple[list[Bounded], l
         # of what blocks the light of some emitters alone, scattered rays know nothing
         aimed &= scene.instances.links[instance, 2] & np.uint64(ALL_SHADOW_SETS) == np.uint64(ALL_SHADOW_SETS)
     unlike = np.flatnonzero(~agrees)
-    if len(unlike):
+    left = np.flatnonzero(aimed)
+    if len(unlike) and len(left):
         low, high = _world_boxes(shining)
         for number in unlike:
             first, last = _swept_box(scene, shining[number]) if shining[number].moves else (low[number], high[number])
-            aimed &= (low > last).any(1) | (high < first).any(1)
-    return [shining[k] for k in np.flatnonzero(aimed)], [shining[k] for k in unlike]
+            left = left[(low[left] > last).any(1) | (high[left] < first).any(1)]
+            if not len(left):
+                break
+    return [shining[k] for k in left], [shining[k] for k in unlike]
 
 
 def _has_inside(volumes: list[Bounded]) -> np.ndarray:

@@ -21,7 +21,7 @@ from ....shading.lights.emitters import EmissiveCells
 from ..bounds import peaks_of
 from ..table import PART, UNLIKE, EmissionGrid, VolumeData, VolumeLights
 from .aimed import aimed_volumes
-from .estimate import FLAT, CellBoxes, Estimates, Looked
+from .estimate import CellBoxes, Estimates, Looked
 
 # Cells along each axis at most, and cells of all volumes together
 _EMITTERS_ALONG, _EMITTERS_TOGETHER = 16, 1 << 16
@@ -29,6 +29,8 @@ _EMITTERS_ALONG, _EMITTERS_TOGETHER = 16, 1 << 16
 _DIVISIONS, _DIVIDED_MOST = 2, 512
 # A cell is divided where less of it emits, and where so much of all light is aimed at in vain in it
 _FULL, _IN_VAIN_LEAST = 0.5, 1e-4
+# Steps of float32 between points of a cell at least: points that are rounded into a cell beside theirs are few
+_STEPS_LEAST = 64
 
 
 @dataclass(frozen=True)
@@ -116,8 +118,12 @@ def find_cells(
     of[[each.instance * volumes.volume_count + each.volume for each in unlike]] = UNLIKE
     of[estimates.code - 1] = np.arange(len(bounded))
     may_emit = np.array([emits_somewhere(volume) for volume in filling], np.int32)
-    owned = links_lights(scene) or bool(light_group_passes(scene.frame.passes))
-    return FoundCells(cells, of, grids, np.concatenate(tables), code.astype(np.int32), may_emit, owned)
+    return FoundCells(cells, of, grids, np.concatenate(tables), code.astype(np.int32), may_emit, has_owners(scene))
+
+
+def has_owners(scene: Scene) -> bool:
+    """Whether it matters whose light a volume's is."""
+    return links_lights(scene) or bool(light_group_passes(scene.frame.passes))
 
 
 def _divided(estimates: Estimates, parts: CellBoxes, looked: Looked, most: int, is_first: bool) -> np.ndarray:
@@ -128,12 +134,18 @@ def _divided(estimates: Estimates, parts: CellBoxes, looked: Looked, most: int, 
     # where something is that no point has met
     missed = _touched(estimates, parts, is_first) & (looked.strength == 0).ravel()
     worth[missed] = max(_IN_VAIN_LEAST * total, np.finfo(float).tiny)
+    corner, edges = estimates.placed(parts)
+    narrowest = np.linalg.norm(edges, axis=1).min(1) / (parts.count * PART)
+    told = narrowest >= _STEPS_LEAST * np.spacing(np.abs(corner).max(1).astype(np.float32))
+    worth[~np.repeat(told, parts.count**3)] = 0.0
     order = np.argsort(-worth, kind="stable")[: max(most, 0)]
     return np.sort(order[worth[order] > 0])
 
 
 def _touched(estimates: Estimates, parts: CellBoxes, is_first: bool) -> np.ndarray:
-    """Whether corners of a surface, or voxels of a grid that are not 0, lie in each cell of `parts`: bool, flat."""
+    """Whether corners of a surface, or, where `is_first`, voxels of a grid that are not 0, lie in each cell of
+    `parts`: bool, flat. Voxels are looked for where cells are whole grids: of smaller ones their own points tell.
+    """
     n = parts.count
     result = np.zeros((len(parts), n**3), bool)
     surface = estimates.surface_of[parts.of]
@@ -144,7 +156,7 @@ def _touched(estimates: Estimates, parts: CellBoxes, is_first: bool) -> np.ndarr
         volume, triangles = estimates.surfaces[number]
         mesh, (low, high) = volume.mesh, volume.box
         assert mesh is not None
-        size = np.maximum(high - low, FLAT)
+        size = high - low
         places = np.clip((mesh.positions[np.unique(triangles)] - low) / size * across, 0, across - 1).astype(int)
         there = np.zeros(across**3, bool)
         there[places @ (across * across, across, 1)] = True

@@ -13,18 +13,14 @@ import warp as wp
 from ....device.devices import load_module
 from ....device.kernel import KERNEL_OPTIONS
 from ....scene.description import ClosureKind, Scene, Volume
-from ....shading.sequences.keys import mix_bits, sequence_number
 from ....shading.volumes.enclosures import AHEAD, FARTHEST
-from ..bounds import CELLS_MOST, Bounded
+from ..bounds import CELL_POINTS, CELLS_MOST, Bounded, point_of_cell, slot_count
 from ..grids import density_scale
 from ..table import BoundBox, BoundWork, VolumeData
 from .weigh import POINTS
 
-_POINTS = 8
 # Share of its own brightness that a cell gives to the cells around it, whose points may have missed something
 _SPREAD = 0.1
-# Extent of a box that is flat [m]
-FLAT = 1e-30
 
 
 @wp.kernel(**KERNEL_OPTIONS)
@@ -33,21 +29,14 @@ def inside_kernel(mesh: wp.uint64, boxes: wp.array(dtype=wp.vec4), cells: int, f
     i = wp.tid()
     box = boxes[i / (cells * cells * cells)]
     number = i % (cells * cells * cells)
-    cell = wp.vec3(float(number / (cells * cells)), float((number / cells) % cells), float(number % cells))
     inside = int(0)
-    for k in range(_POINTS):
-        seed = mix_bits(wp.uint32(number * _POINTS + k))
-        u = wp.vec3(
-            sequence_number(seed),
-            sequence_number(mix_bits(seed + wp.uint32(1))),
-            sequence_number(mix_bits(seed + wp.uint32(2))),
-        )
+    for k in range(CELL_POINTS):
         ahead = wp.normalize(wp.vec3(wp.static(AHEAD[0]), wp.static(AHEAD[1]), wp.static(AHEAD[2])))
-        place = wp.vec3(box[0], box[1], box[2]) + box[3] * ((cell + u) / float(cells))
+        place = wp.vec3(box[0], box[1], box[2]) + box[3] * (point_of_cell(number, cells, k) / float(cells))
         hit = wp.mesh_query_ray(mesh, place, ahead, wp.static(FARTHEST))
         if hit.result and hit.sign < 0.0:
             inside += 1
-    found[i] = float(inside) / float(_POINTS)
+    found[i] = float(inside) / float(CELL_POINTS)
 
 
 @dataclass(frozen=True)
@@ -70,7 +59,6 @@ class Looked:
     strength: np.ndarray  # intensity, mean of the channels [W/sr]
     rate: np.ndarray  # see `EmissiveCells`
     fill: np.ndarray  # about the share of the cell that emits
-    share: np.ndarray  # of the cell that lies within the surface
 
 
 class Estimates:
@@ -92,7 +80,7 @@ class Estimates:
         self.code = 1 + np.array([each.instance for each in bounded]) * volumes.volume_count + self._volume
         placed = np.stack([each.to_world for each in bounded])
         boxes = np.stack([each.box for each in bounded])
-        low, size = boxes[:, 0], np.maximum(boxes[:, 1] - boxes[:, 0], FLAT)
+        low, size = boxes[:, 0], boxes[:, 1] - boxes[:, 0]
         # as kernels have it: cells begin where they are looked for
         self.origin = np.einsum("nij,nj->ni", placed[:, :, :3], low) + placed[:, :, 3]
         self.origin = self.origin.astype(np.float32).astype(np.float64)
@@ -102,20 +90,18 @@ class Estimates:
         self.surface_of = np.zeros(len(bounded), int)
         self.surfaces: list[tuple[Bounded, np.ndarray]] = []  # and the triangles
         numbers: dict[tuple, int] = {}
-        slot_counts: dict[int, int] = {}  # by identity of the mesh
         for number, each in enumerate(bounded):
             mesh = each.mesh
             assert mesh is not None
-            if id(mesh) not in slot_counts:
-                slot_counts[id(mesh)] = 1 if mesh.triangle_slot is None else int(mesh.triangle_slot.max()) + 1
             first = int(scene.instances.slot_first[each.instance])
-            slots = volume_of[scene.slot_materials[first : first + slot_counts[id(mesh)]]] == each.volume
+            slots = volume_of[scene.slot_materials[first : first + slot_count(mesh)]] == each.volume
             key = (id(mesh), slots.tobytes())
             if key not in numbers:
                 numbers[key] = len(self.surfaces)
                 taken = mesh.triangles if mesh.triangle_slot is None else mesh.triangles[slots[mesh.triangle_slot]]
                 self.surfaces.append((each, taken))
             self.surface_of[number] = numbers[key]
+        self._trees: dict[int, wp.Mesh] = {}  # of surfaces
 
     def placed(self, parts: CellBoxes) -> tuple[np.ndarray, np.ndarray]:
         """Corners [g, 3] and edges, by columns, [g, 3, 3] of `parts` in the world [m]."""
@@ -149,7 +135,7 @@ class Estimates:
             strength = light * share * np.abs(np.linalg.det(edges))[:, None] / count**3
             strength = np.where(np.isfinite(strength), _spread(strength, count) * (share > 0), 0.0)
             fill = share * np.where(square > 0, light**2 / square, 0.0)
-        return Looked(strength, rate, fill, share)
+        return Looked(strength, rate, fill)
 
     def _inside(self, parts: CellBoxes) -> np.ndarray:
         """Share of each cell that is in the surface, float64, shape [g, count^3]; alike parts are looked at once."""
@@ -162,12 +148,14 @@ class Estimates:
             if not len(triangles):
                 continue
             these = np.flatnonzero(rows[:, 0] == number)
-            low, size = volume.box[0], np.maximum(volume.box[1] - volume.box[0], FLAT)
-            positions = ((volume.mesh.positions - low) / size).astype(np.float32)  # type: ignore[union-attr]
-            surface = wp.Mesh(
-                wp.array(positions, dtype=wp.vec3, device=self._device),
-                wp.array(np.ascontiguousarray(triangles, np.int32).ravel(), dtype=int, device=self._device),
-            )
+            if number not in self._trees:
+                low, size = volume.box[0], volume.box[1] - volume.box[0]
+                positions = ((volume.mesh.positions - low) / size).astype(np.float32)  # type: ignore[union-attr]
+                self._trees[number] = wp.Mesh(
+                    wp.array(positions, dtype=wp.vec3, device=self._device),
+                    wp.array(np.ascontiguousarray(triangles, np.int32).ravel(), dtype=int, device=self._device),
+                )
+            surface = self._trees[number]
             asked = wp.array(rows[these, 1:].astype(np.float32), dtype=wp.vec4, device=self._device)
             found = wp.zeros(len(these) * parts.count**3, dtype=float, device=self._device)
             wp.launch(inside_kernel, len(found), [surface.id, asked, parts.count, found], device=self._device)
