@@ -34,7 +34,7 @@ def row(path: Path) -> str:
         f"{ours['render']['seconds']:.2f} s",
         f"{rate:.1f}",
         f"{ours['seconds']:.2f} s (±{50 * ours['spread']:.0f} %)",
-        f"{cycles['seconds']:.2f} s (±{50 * cycles['spread']:.0f} %)" if cycles else "",
+        f"{cycles['seconds']:.2f} s (±{50 * cycles['spread']:.0f} %)" if cycles else "not measured",
         f"{report['raybatch_over_cycles']:.2f}" if cycles else "",
     ]
     return "| " + " | ".join(cells) + " |"
