@@ -26,11 +26,11 @@ RENDER = """\
 Measure whole renders of SCENE: a .blend (needs bpy), a .scene.npz or the geometry of an .npz (do not).
 
 Runs of RayBatch and of Cycles alternate; medians are reported, with the spread (largest less smallest, over the
-median). A whole render is everything but reading the file: the tree is built anew each time. RayBatch's first render,
-with compilation, is reported apart.
+median). A whole render begins with the exported scene, and the tree is built anew each time. RayBatch's export from
+Blender, and its first render, with compilation, are reported apart.
 
 Cycles renders the same file on the same device, with the same samples, bounces and pixel filter, without adaptive
-sampling, denoising, clamping or any other bias. Its time is that of the whole render call.
+sampling, denoising, clamping or any other bias. Its time is that of the whole render call, its export included.
 
 --equal-error: both engines are unbiased, so their error is noise. Each renders the picture twice more, with other
 seeds and the samples of the timed runs. relMSE is half the squared difference of the two, divided by the pixel's

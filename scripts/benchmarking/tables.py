@@ -72,12 +72,16 @@ def render_text(report: dict[str, Any]) -> str:
         f"{frame['width']} x {frame['height']} pixels, {report['samples_per_pixel']} samples a pixel, "
         f"{report['bounces']} bounces, {report['rays']['total']:,} rays",
         f"first render, with compilation  {report['cold']['seconds']:9.3f} s",
-        f"whole render                    {_time(ours)}",
+        f"whole render                    {_time(ours)}" + ", without export" * (report["export_s"] is not None),
         f"  tree                          {_time(ours['build'])}",
         f"  render                        {_time(ours['render'])}, {rate:.2f} Mrays/s",
     ]
+    if report["export_s"] is not None:
+        lines.append(f"export from Blender, timed once {report['export_s']:9.3f} s")
     if "cycles" in report:
-        lines.append(f"Cycles, whole render            {_time(report['cycles'])} ({report['cycles']['device']})")
+        lines.append(
+            f"Cycles, whole render            {_time(report['cycles'])} ({report['cycles']['device']}), with export"
+        )
         lines.append(f"RayBatch over Cycles, at equal samples: {report['raybatch_over_cycles']:.2f} of its time")
         if report["ray_tracing_cores"] is not None:  # a GPU
             lines.append(
