@@ -52,7 +52,9 @@ def points_of(row: Row) -> list[ErrorPoint]:
 def slope_of(points: Sequence[ErrorPoint]) -> dict[str, Any] | None:
     """What a row keeps of the line through its points; None where there is none."""
     fitted = fit_slope(points)
-    return fitted and {
+    if fitted is None:
+        return None
+    return {
         "slope": fitted.slope,
         "spread": known(fitted.spread),
         "flattens": fitted.flattens,
