@@ -21,15 +21,16 @@ from rendering.request import RESOLUTION_DEFAULT, parse_settings
 
 from raybatch_addon.core.settings.presets import PRESETS
 
+RENDER_SAMPLES = 16
 RENDER = """\
 Measure whole renders of SCENE: a .blend (needs bpy), a .scene.npz or the geometry of an .npz (do not).
 
 Runs of RayBatch and of Cycles alternate; medians are reported, with the spread (largest less smallest, over the
-median). A whole render is everything but reading the file: the tree is built anew each time. RayBatch's first render,
-with compilation, is reported apart.
+median). A whole render begins with the exported scene, and the tree is built anew each time. RayBatch's export from
+Blender, and its first render, with compilation, are reported apart.
 
 Cycles renders the same file on the same device, with the same samples, bounces and pixel filter, without adaptive
-sampling, denoising, clamping or any other bias. Its time is that of the whole render call.
+sampling, denoising, clamping or any other bias. Its time is that of the whole render call, its export included.
 
 --equal-error: both engines are unbiased, so their error is noise. Each renders the picture twice more, with other
 seeds and the samples of the timed runs. relMSE is half the squared difference of the two, divided by the pixel's
@@ -43,6 +44,7 @@ what a render takes once (reading nothing from disk, but building trees, loading
 does before and after). With --against cycles both engines are compared by the time of a sample, and by that time x
 relMSE of the larger count. On a GPU Cycles is measured by OptiX and by CUDA, and the quicker is the peer; the report
 says whether the device has ray-tracing cores, which only Cycles would use. The first render of each is reported apart.
+With --against cycles on a GPU, where a first render may load kernels for longer than it samples, 64,256 is the default.
 --resume leaves a scene out whose --json was made by the same command with the same code, so that a list of scenes goes
 on where it was stopped.
 
@@ -158,9 +160,10 @@ def argument_parser() -> argparse.ArgumentParser:
         added.add_argument(
             "--samples",
             type=sample_counts if name == "render" else int,
-            default=(samples, 0) if name == "render" else samples,
+            default=None if name == "render" else samples,
             metavar="N[,N]" if name == "render" else "N",
-            help=f"per pixel (default: {samples})",
+            help=f"per pixel (default: {samples}"
+            + ("; on a GPU --against cycles, without --equal-error: 64,256)" if name == "render" else ")"),
         )
         added.add_argument("--bounces", type=int, default=7, help="default: 7")
         added.add_argument(
@@ -172,7 +175,7 @@ def argument_parser() -> argparse.ArgumentParser:
         added.add_argument("--runs", type=int, default=runs, help="timed runs (default: %(default)s)")
         return added
 
-    render = whole_renders("render", RENDER, samples=16, runs=3)
+    render = whole_renders("render", RENDER, samples=RENDER_SAMPLES, runs=3)
     render.add_argument(
         "--against",
         choices=("cycles", "memory"),
@@ -241,7 +244,9 @@ def measured(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from benchmarking.scenes import SceneRequest
     from benchmarking.tables import memory_text, recording_text, render_text, slopes_text, traversal_text, viewport_text
 
-    counts: tuple[Any, int] = options.samples if options.command == "render" else (getattr(options, "samples", None), 0)
+    counts: tuple[Any, int] = (getattr(options, "samples", None), 0)
+    if options.command == "render":
+        counts = options.samples or (RENDER_SAMPLES, 0)
     for name in ("runs", "ray_count", "samples"):
         value = counts[0] if name == "samples" else getattr(options, name, None)
         if value is not None and value < 1:
@@ -285,9 +290,10 @@ def measured(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
             equal_error=options.equal_error,
             picture=options.picture,
             samples_longer=counts[1],
+            samples_given=options.samples is not None,
         )
         report = measure_render(request)
-        text = slopes_text if counts[1] else memory_text if options.against == "memory" else render_text
+        text = slopes_text if "sample_counts" in report else memory_text if "memory" in report else render_text
         return report, text(report)
 
     from benchmarking.orders import parse_orders

@@ -64,7 +64,9 @@ def argument_parser() -> argparse.ArgumentParser:
         help="measure nothing: make figures, plots and page of these rows",
     )
     parser.add_argument(
-        "--draw", action="store_true", help="measure nothing: make plots and page of the figures that are there"
+        "--draw",
+        action="store_true",
+        help="measure nothing: make plots and page of the figures that are there, and judge their slopes anew",
     )
     parser.add_argument("--no-plots", action="store_true", help="leave the plots out, which need matplotlib")
     parser.add_argument("--verbose", action="store_true", help="pass on what Blender and Warp print, to standard error")

@@ -5,22 +5,36 @@
 from __future__ import annotations
 
 import statistics
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import warp as wp
 from lib.command import UsageError
 from rendering.pictures import picture_path, write_picture
 from rendering.request import BLEND, kind_of
 
 from benchmarking.memory import measure_against_memory, parse_budgets
 from benchmarking.progress import Steps
-from benchmarking.slopes import SEEDS, combined, measure_slopes, quotient, relmse_of_pairs
+from benchmarking.slopes import SEEDS, combined, has_ray_tracing_cores, measure_slopes, quotient, relmse_of_pairs
 from benchmarking.timing import summary
 from benchmarking.whole_render import OpenedScene, RenderRequest, TimedRender, open_scene, scene_report, timed_render
 from raybatch_addon.blender.kernel_cache import kernel_cache_folder
 from raybatch_addon.core.device.devices import find_device
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
+
+COUNTS_ON_A_GPU = (64, 256)  # samples that tell what an engine takes once from what it takes for each of them
+
+
+def with_counts(request: RenderRequest, device: wp.Device) -> RenderRequest:
+    """`request` with the sample counts that suit it, where none were given: on a GPU an engine may load kernels for
+    longer than it samples, which one count cannot tell.
+    """
+    alone = request.samples_given or request.against != "cycles" or request.equal_error
+    if alone or not device.is_cuda:
+        return request
+    return replace(request, samples=COUNTS_ON_A_GPU[0], samples_longer=COUNTS_ON_A_GPU[1])
 
 
 def measured_settings(settings: RenderSettings, request: RenderRequest) -> RenderSettings:
@@ -37,8 +51,9 @@ def measure_render(request: RenderRequest) -> dict[str, Any]:
     budgets = parse_budgets(request.budgets) if request.budgets else []
     picture = picture_path(request.picture.absolute()) if request.picture else None
     opened = open_scene(request)
-    settings = measured_settings(opened.settings, request)
     device = find_device(request.device)
+    request = with_counts(request, device)
+    settings = measured_settings(opened.settings, request)
     session = Session(device.alias, settings, kernel_cache_folder())
     if request.against == "memory" or request.samples_longer:
         try:
@@ -74,6 +89,7 @@ def measure_render(request: RenderRequest) -> dict[str, Any]:
             report |= {
                 "cycles": summary(cycles_runs) | {"device": cycles.device},
                 "raybatch_over_cycles": round(statistics.median(ratios), 3),
+                "ray_tracing_cores": has_ray_tracing_cores(device),
             }
         if request.equal_error:
             steps.begin("renders with other seeds, for the error")

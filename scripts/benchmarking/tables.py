@@ -57,6 +57,12 @@ def traversal_text(report: dict[str, Any]) -> str:
     return "\n".join(dict.fromkeys(lines))
 
 
+_CORES = {
+    True: "has ray-tracing cores, which only Cycles by OptiX uses",
+    False: "has no ray-tracing cores, which Cycles by OptiX would use",
+}
+
+
 def render_text(report: dict[str, Any]) -> str:
     """The report of `benchmark.py render`."""
     frame, ours = report["frame"], report["raybatch"]
@@ -66,13 +72,22 @@ def render_text(report: dict[str, Any]) -> str:
         f"{frame['width']} x {frame['height']} pixels, {report['samples_per_pixel']} samples a pixel, "
         f"{report['bounces']} bounces, {report['rays']['total']:,} rays",
         f"first render, with compilation  {report['cold']['seconds']:9.3f} s",
-        f"whole render                    {_time(ours)}",
+        f"whole render                    {_time(ours)}" + ", without export" * (report["export_s"] is not None),
         f"  tree                          {_time(ours['build'])}",
         f"  render                        {_time(ours['render'])}, {rate:.2f} Mrays/s",
     ]
+    if report["export_s"] is not None:
+        lines.append(f"export from Blender, timed once {report['export_s']:9.3f} s")
     if "cycles" in report:
-        lines.append(f"Cycles, whole render            {_time(report['cycles'])} ({report['cycles']['device']})")
+        lines.append(
+            f"Cycles, whole render            {_time(report['cycles'])} ({report['cycles']['device']}), with export"
+        )
         lines.append(f"RayBatch over Cycles, at equal samples: {report['raybatch_over_cycles']:.2f} of its time")
+        if report["ray_tracing_cores"] is not None:  # a GPU
+            lines.append(
+                "Set-up is in these times, Cycles' export too: give two counts, as --samples 64,256, to tell it from "
+                f"sampling. The device {_CORES[report['ray_tracing_cores']]}."
+            )
     if "equal_error" in report:
         equal = report["equal_error"]
         lines.append(
@@ -93,24 +108,29 @@ def slopes_text(report: dict[str, Any]) -> str:
     frame, counts = report["frame"], report["sample_counts"]
     engines = {"RayBatch": report["raybatch"]}
     engines |= {f"Cycles ({kind})": each for kind, each in report.get("cycles", {}).items()}
+    exports = {"RayBatch": "not timed" if report["export_s"] is None else f"{report['export_s']:.3f} s"}
     rows = [
         [
             name,
             *(f"{seconds:.3f} s" for seconds in each["seconds"]),
             f"{each['ms_a_sample']:.3f} ms ({each['ms_a_sample_least']:.3f} to {each['ms_a_sample_most']:.3f})",
             f"{each['fixed_seconds']:.3f} s",
+            exports.get(name, "in it"),
             f"{each['first_seconds']:.3f} s",
         ]
         for name, each in engines.items()
     ]
-    cores = {None: "", True: "; it has ray-tracing cores", False: "; it has no ray-tracing cores"}
+    cores, heads = report["ray_tracing_cores"], ["engine", *(f"{count} samples" for count in counts)]
     lines = [
         f"{report['scene']}, {report['triangles']:,} triangles, on {report['device']['name']}"
-        + cores[report["ray_tracing_cores"]],
+        + ("" if cores is None else f", which {_CORES[cores]}"),
         f"{frame['width']} x {frame['height']} pixels, {report['bounces']} bounces, {engines['RayBatch']['runs']} runs",
         "",
-        table(["engine", *(f"{count} samples" for count in counts), "a sample", "once", "first render"], rows),
+        table([*heads, "a sample", "once", "export", "first render"], rows),
+        "once: beside samples, with kernels loaded; first render: of the smaller count, with what it loads or compiles",
     ]
+    if "cycles" in report:
+        lines.append("export: RayBatch's from Blender, timed once, is in none of its renders; Cycles' is in each")
     if "peer" in report:
         lines.append(
             f"RayBatch over Cycles ({report['peer']}), time of a sample: {report['slope_raybatch_over_cycles']}"

@@ -39,6 +39,7 @@ class RenderRequest:
     picture: Path | None = None
     settings: dict[str, Any] = field(default_factory=dict)
     samples_longer: int = 0  # a second, larger count: show the time of a sample from the two
+    samples_given: bool = True  # False: `samples` is what is rendered where nothing else suits the comparison
 
     @property
     def counts(self) -> tuple[int, int]:

@@ -15,12 +15,11 @@ from converging.reference import core_digest
 from rendering.standalone import resized
 
 from raybatch_addon.blender.kernel_cache import kernel_cache_folder
-from raybatch_addon.core.convergence.errors import known, relmse, rmse
+from raybatch_addon.core.convergence.errors import relmse, rmse
 from raybatch_addon.core.convergence.points import (
     ConvergenceRecorder,
     Reference,
     efficiency,
-    fit_slope,
     load_reference,
     noise_floor,
     save_reference,
@@ -32,6 +31,7 @@ from raybatch_addon.core.observers import Progress, RenderObserver
 from raybatch_addon.core.scene.description import Scene
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
+from studies.curves import slope_of
 from studies.study import Options, Row
 
 WARM_EDGE = 32  # pixels of the render before the first that is timed
@@ -108,7 +108,6 @@ class Bench:
         recorder = ConvergenceRecorder()
         film = self.session.render(scene, settings, observers=[recorder])
         points = recorder.points(reference)
-        slope = fit_slope(points)
         reported = [
             {"seconds": p.seconds, "samples": p.samples, "rmse": p.rmse, "relmse": p.relmse, "spread": p.rmse_spread}
             for p in points
@@ -117,14 +116,7 @@ class Bench:
             **row_of(film, settings),
             "points": reported,
             "sequence": settings.sample_sequence,
-            "slope": slope
-            and {
-                "slope": slope.slope,
-                "spread": known(slope.spread),
-                "flattens": slope.flattens,
-                "last": slope.last_slope,
-                "says": slope.says,
-            },
+            "slope": slope_of(points),
             "efficiency": efficiency(points, "relmse"),
             "floor": dict(zip(("rmse", "relmse"), noise_floor(reference), strict=True)),
         }

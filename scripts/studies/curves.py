@@ -7,7 +7,9 @@ import statistics
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+from raybatch_addon.core.convergence.errors import known
 from raybatch_addon.core.convergence.points import ErrorPoint, fit_slope, time_to
 from studies.pages import device_title, number, table
 from studies.study import Report, Row
@@ -45,6 +47,35 @@ def points_of(row: Row) -> list[ErrorPoint]:
         )
         for p in row["points"]
     ]
+
+
+def slope_of(points: Sequence[ErrorPoint]) -> dict[str, Any] | None:
+    """What a row keeps of the line through its points; None where there is none."""
+    fitted = fit_slope(points)
+    if fitted is None:
+        return None
+    return {
+        "slope": fitted.slope,
+        "spread": known(fitted.spread),
+        "flattens": fitted.flattens,
+        "last": fitted.last_slope,
+        "says": fitted.says,
+    }
+
+
+def judge_anew(rows: Sequence[Row]) -> bool:
+    """Bring the words that rows keep of their slopes to those that `fit_slope` has now for their points, in place;
+    returns whether any changed. Figures stay as they are: they follow from the points alone.
+    """
+    changed = False
+    for row in rows:
+        if row.get("slope") and row.get("points"):
+            fitted = fit_slope(points_of(row))
+            assert fitted is not None  # it was when the row was written
+            words = {"flattens": fitted.flattens, "says": fitted.says}
+            changed |= words != {name: row["slope"][name] for name in words}
+            row["slope"] |= words
+    return changed
 
 
 def median(values: Sequence[float | None]) -> float | None:

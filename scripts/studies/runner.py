@@ -15,6 +15,7 @@ from raybatch_addon.core.device.devices import device_description, find_device, 
 from raybatch_addon.core.errors import RayBatchError
 from raybatch_addon.core.measure.statistics import versions
 from studies.bench import Bench, refused
+from studies.curves import judge_anew
 from studies.pages import put_fragment
 from studies.rows import RowFile, gathered, read_report, write_report
 from studies.scenes import FILES, find
@@ -93,16 +94,20 @@ def publish(study: Study, files: Sequence[Path], out: Path) -> Path:
     report = gathered(files)
     if report["study"] != study.name:
         raise UsageError(f"{files[0]} holds rows of the study {report['study']}, not of {study.name}")
-    path = out / DATA / f"{study.name}-{report['device_kind']}.json"
+    path = _data_path(study, report["device_kind"], out)
     write_report(path, report)
     return path
+
+
+def _data_path(study: Study, kind: str, out: Path) -> Path:
+    return out / DATA / f"{study.name}-{kind}.json"
 
 
 def reports_of(study: Study, out: Path) -> dict[str, Report]:
     """Reports of a study by device, the GPU's first."""
     found = {}
     for kind in ("cuda", "cpu"):
-        path = out / DATA / f"{study.name}-{kind}.json"
+        path = _data_path(study, kind, out)
         if path.is_file():
             found[kind] = read_report(path)
     if not found:
@@ -113,8 +118,11 @@ def reports_of(study: Study, out: Path) -> dict[str, Report]:
 
 
 def write_page(study: Study, out: Path, plots: bool = True) -> Path:
-    """Plots and tables of a study from its figures; returns its page."""
+    """Plots and tables of a study from its figures, whose slopes are judged anew before; returns its page."""
     reports = reports_of(study, out)
+    for kind, report in reports.items():
+        if judge_anew(report["rows"]):
+            write_report(_data_path(study, kind, out), report)
     if plots:
         study.draw(reports, out)
     page = out / f"{study.name}.md"

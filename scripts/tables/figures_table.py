@@ -30,11 +30,12 @@ def row(path: Path) -> str:
         f"{report['triangles']:,}",
         report["device"]["name"],
         f"{frame['width']} x {frame['height']}, {report['samples_per_pixel']} spp",
+        "" if report["export_s"] is None else f"{report['export_s']:.2f} s",
         f"{ours['build']['seconds']:.2f} s",
         f"{ours['render']['seconds']:.2f} s",
         f"{rate:.1f}",
         f"{ours['seconds']:.2f} s (±{50 * ours['spread']:.0f} %)",
-        f"{cycles['seconds']:.2f} s (±{50 * cycles['spread']:.0f} %)" if cycles else "",
+        f"{cycles['seconds']:.2f} s (±{50 * cycles['spread']:.0f} %)" if cycles else "not measured",
         f"{report['raybatch_over_cycles']:.2f}" if cycles else "",
     ]
     return "| " + " | ".join(cells) + " |"
@@ -47,6 +48,7 @@ def figures_table() -> str:
         "triangles",
         "device",
         "picture",
+        "export",
         "tree",
         "render",
         "Mrays/s",

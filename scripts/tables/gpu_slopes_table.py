@@ -4,7 +4,8 @@
     python scripts/tables/gpu_slopes_table.py [REPORT.json...]
 
 Each REPORT is what `benchmark.py render FILE --device cuda:0 --samples A,B --against cycles --json REPORT.json` wrote.
-Its figures are kept in docs/studies/data/equal-error-gpu.json; without a REPORT the table is made from that.
+A FILE of docs/real-files.json that lies where compare.py finds it is called as there. Figures are kept in
+docs/studies/data/equal-error-gpu.json; without a REPORT the table is made from that.
 """
 
 from __future__ import annotations
@@ -18,9 +19,10 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
 
 from lib.output import json_text, write_text
+from real_files.listing import name_of, read_listing
 from real_files.measures import Spread
 
-from tables.equal_error_table import PAGE, known_to_differ, row
+from tables.equal_error_table import LISTING, PAGE, known_to_differ, row
 from tables.marked_text import with_part, write_or_check
 
 DATA = ROOT / "docs" / "studies" / "data" / "equal-error-gpu.json"
@@ -35,12 +37,25 @@ SLOPE, VARIANCE, EQUAL, FIXED = (
 _FACTS = ("scene", "device", "versions", "frame", "sample_counts", "ray_tracing_cores", "raybatch", "cycles", "peer")
 _KEPT = (*_FACTS, SLOPE, VARIANCE, EQUAL, FIXED, "mean_ratio")
 HEADS = ("file", "RayBatch [ms]", *(f"Cycles, {kind} [ms]" for kind in KINDS), "time of a sample", "variance")
-HEADS += ("equal error", "fixed [s]", "brightness")
+HEADS += ("equal error", "fixed [s]", "RayBatch's export [s]", "first render [s]", "brightness")
+EXPORT = "export_s"  # of RayBatch, from Blender [s]; None where it was not kept
 
 
 def kept(report: dict[str, Any]) -> dict[str, Any]:
     """What is kept of a report; raises `KeyError` where it is not one of two sample counts against Cycles."""
-    return {name: report[name] for name in _KEPT}
+    return {name: report[name] for name in _KEPT} | {"scene": _listed_name(report), EXPORT: report.get(EXPORT)}
+
+
+def _listed_name(report: dict[str, Any]) -> str:
+    """The name by which the list of real files has what was rendered, which no other file has; else that of the
+    report.
+    """
+    path = report.get("asked", {}).get("options", {}).get("scene", "")
+    for entry in read_listing(LISTING):
+        name = name_of(entry)
+        if path.endswith((f"/{name}", f"/{entry['repository'].replace('/', '+')}/{entry['path']}")):
+            return name
+    return report["scene"]
 
 
 def table(data: list[dict[str, Any]]) -> str:
@@ -51,8 +66,10 @@ def table(data: list[dict[str, Any]]) -> str:
     size, versions = f"{frame['width']} x {frame['height']} pixels", first["versions"]
     about = (
         f"{first['device']['name']} ({cores} ray-tracing cores), {size}, {counts[0]} and {counts[1]} samples, "
-        f"{first['raybatch']['runs']} turns; Blender {versions['blender']}, Warp {versions['warp']}."
+        f"{first['raybatch']['runs']} turns; Blender {versions['blender']}, Warp {versions['warp']}. "
+        "Pairs of seconds are RayBatch's / Cycles'."
     )
+    about += " -: an export that was not kept." * any(each.get(EXPORT) is None for each in data)
     lines = [about, "", row(HEADS), row(["---"] * len(HEADS))]
     differing = known_to_differ()
     same = [each for each in data if each["scene"] not in differing]
@@ -61,7 +78,7 @@ def table(data: list[dict[str, Any]]) -> str:
     medians = [f"{each.median:.2f} ({each.low:.2f} to {each.high:.2f})" for each in spreads if each is not None]
     assert len(medians) == len(spreads), "a table without scenes"
     worst = [f"{max(each[name] for each in same):.3g}" for name in (SLOPE, VARIANCE, EQUAL)]
-    lines += [row(["**median**", "", "", "", *medians, "", ""]), row(["**worst**", "", "", "", *worst, "", ""])]
+    lines += [row(["**median**", "", "", "", *medians, *[""] * 4]), row(["**worst**", "", "", "", *worst, *[""] * 4])]
     lines += _file_rows([each for each in data if each["scene"] in differing], " (differs)")
     return "\n".join(lines)
 
@@ -74,7 +91,10 @@ def _file_rows(reports: list[dict[str, Any]], remark: str = "") -> list[str]:
         ratios = [f"{each[name]:.3g}" for name in (SLOPE, VARIANCE, EQUAL)]
         fixed = f"{own['fixed_seconds']:.2f} / {peer['fixed_seconds']:.2f}"
         first = [each["scene"] + remark, f"{own['ms_a_sample']:.3g}"]
-        lines.append(row([*first, *slopes, *ratios, fixed, f"{each['mean_ratio']:.3f}"]))
+        export = "-" if each.get(EXPORT) is None else f"{each[EXPORT]:.2f}"
+        began = f"{own['first_seconds']:.2f} / {peer['first_seconds']:.2f}"
+        cells = [*slopes, *ratios, fixed, export, began, f"{each['mean_ratio']:.3f}"]
+        lines.append(row([*first, *cells]))
     return lines
 
 

@@ -3,14 +3,16 @@
 import json
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import benchmark
 import numpy as np
 import pytest
 from benchmarking import memory, recording
-from benchmarking.render import equal_error, measured_settings
+from benchmarking.render import equal_error, measured_settings, with_counts
 from benchmarking.scenes import SceneRequest
 from benchmarking.slopes import Timed, relmse_of_pairs
+from benchmarking.tables import render_text, slopes_text
 from benchmarking.whole_render import RenderRequest
 
 from raybatch_addon.core.convergence.errors import RELMSE_MOST
@@ -336,6 +338,48 @@ def test_what_a_render_takes_once_is_separated_from_what_a_sample_takes():
     reported = timed.report((10, 20))
     assert reported["ms_a_sample"] == 100 and (reported["ms_a_sample_least"], reported["ms_a_sample_most"]) == (90, 110)
     assert reported["fixed_seconds"] == pytest.approx(1.5, abs=0.001) and reported["runs"] == 3
+
+
+def test_a_gpu_is_compared_by_two_counts_unless_one_is_asked_for():
+    def counts(is_cuda, **request):
+        asked = RenderRequest(SceneRequest(Path("a.blend")), samples_given=False, **request)
+        return with_counts(asked, SimpleNamespace(is_cuda=is_cuda)).counts
+
+    assert counts(True, against="cycles") == (64, 256)
+    assert counts(False, against="cycles") == counts(True) == counts(True, against="memory") == (16, 0)
+    assert counts(True, against="cycles", equal_error=True) == (16, 0)
+    given = RenderRequest(SceneRequest(Path("a.blend")), samples=8, against="cycles")
+    assert with_counts(given, SimpleNamespace(is_cuda=True)) is given
+
+
+def test_a_comparison_on_a_gpu_says_what_its_times_hold():
+    time = {"seconds": 1.0, "spread": 0.1}
+    report = {
+        "scene": "a.blend",
+        "triangles": 2,
+        "device": {"name": "a GPU"},
+        "frame": {"width": 4, "height": 3},
+        "samples_per_pixel": 16,
+        "bounces": 7,
+        "rays": {"total": 9},
+        "cold": time,
+        "invalid_samples": 0,
+        "raybatch": time | {"build": time, "render": time},
+        "cycles": time | {"device": "OPTIX"},
+        "raybatch_over_cycles": 1.0,
+        "ray_tracing_cores": False,
+        "export_s": 0.125,
+    }
+    assert "Set-up is in these times" in render_text(report) and "no ray-tracing cores" in render_text(report)
+    assert "Set-up" not in render_text(report | {"ray_tracing_cores": None})  # a CPU
+    assert "once     0.125 s" in render_text(report) and "export from" not in render_text(report | {"export_s": None})
+    engine = Timed([1.0], [2.0]).report((64, 256)) | {"first_seconds": 3.25}
+    report |= {"raybatch": engine, "cycles": {"OPTIX": engine | {"first_seconds": 4.5}}}
+    said = slopes_text(report | {"sample_counts": [64, 256]})
+    ours, theirs = (line for line in said.splitlines() if line.startswith(("RayBatch ", "Cycles (OPTIX)")))
+    assert ours.split()[-4:] == ["0.125", "s", "3.250", "s"] and theirs.split()[-4:] == ["in", "it", "4.500", "s"]
+    assert "has no ray-tracing cores" in said and "export: RayBatch's" in said
+    assert "not timed" in slopes_text(report | {"sample_counts": [64, 256], "export_s": None})
 
 
 def test_slopes_without_a_peer(tmp_path, capfd):

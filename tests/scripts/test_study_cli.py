@@ -3,10 +3,12 @@
 import itertools
 import json
 import math
+from pathlib import Path
 
 import pytest
 from lib.command import UsageError
 from studies import pages, rows, runner, scenes
+from studies.curves import points_of, slope_of
 from studies.registry import STUDIES, study_named
 from studies.study import Case, Options, Study, groups_of, part_of
 from studies.thesis import results
@@ -45,6 +47,7 @@ def test_more_rays_than_the_tiles_have_are_reported():
     assert results.most_alive(report(2**8, 2**16, 2**16)) == 2**16
 
 
+PAGES = Path(__file__).resolve().parents[2] / "docs/studies"
 DEVICE = {"alias": "cpu", "name": "CPU", "memory": 1, "cores": 2}
 
 
@@ -221,6 +224,32 @@ def test_turns_are_interleaved_and_a_study_cut_short_goes_on(tmp_path):
     )
     page = runner.write_page(study, tmp_path)
     assert "1 report" in page.read_text()
+
+
+def test_slopes_are_judged_anew_where_a_page_is_made(tmp_path):
+    name = "sequences-cuda.json"
+    data = PAGES / runner.DATA
+    report = rows.read_report(data / name)
+    wanted = json.dumps(report["rows"])
+    for row in report["rows"]:
+        row["slope"]["says"] = "what an earlier state said"
+    rows.write_report(tmp_path / runner.DATA / name, report)
+    runner.write_page(STUDIES["sequences"], tmp_path, plots=False)
+    assert json.dumps(rows.read_report(tmp_path / runner.DATA / name)["rows"]) == wanted
+    assert (tmp_path / runner.DATA / name).read_bytes() == (data / name).read_bytes()
+
+
+def test_published_slopes_are_judged_as_their_points_are_now():
+    judged = 0
+    for path in sorted((PAGES / runner.DATA).glob("*-c*.json")):
+        for row in rows.read_report(path)["rows"]:
+            if row.get("slope") and row.get("points"):
+                now = slope_of(points_of(row))
+                assert (now["says"], now["flattens"]) == (row["slope"]["says"], row["slope"]["flattens"]), (
+                    f"{path.name}, {row['case']}: scripts/study.py {path.stem.rpartition('-')[0]} --draw judges it anew"
+                )
+                judged += 1
+    assert judged > 100
 
 
 def test_rows_of_another_kind_are_refused(tmp_path):
