@@ -297,7 +297,7 @@ def bounded_volumes(
         mesh = scene.meshes[mesh_index]
         if len(mesh.triangles) == 0 or mesh.radii is not None:
             continue
-        slots = slot_count(mesh)
+        slots = slots_of(mesh)
         first = int(instances.slot_first[instance])
         for volume in sorted({int(volume_of[m]) for m in scene.slot_materials[first : first + slots]}):
             if volume >= 0 and has_program[volume]:
@@ -309,7 +309,7 @@ def bounded_volumes(
     return result
 
 
-def slot_count(mesh: Mesh) -> int:
+def slots_of(mesh: Mesh) -> int:
     """How many slots of materials the triangles of `mesh` have."""
     return 1 if mesh.triangle_slot is None else fact(mesh.triangle_slot, _largest) + 1
 

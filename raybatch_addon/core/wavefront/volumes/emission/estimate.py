@@ -14,7 +14,7 @@ from ....device.devices import load_module
 from ....device.kernel import KERNEL_OPTIONS
 from ....scene.description import ClosureKind, Scene, Volume
 from ....shading.volumes.enclosures import AHEAD, FARTHEST
-from ..bounds import CELL_POINTS, CELLS_MOST, Bounded, point_of_cell, slot_count
+from ..bounds import CELL_POINTS, CELLS_MOST, Bounded, point_of_cell, slots_of
 from ..grids import density_scale
 from ..table import BoundBox, BoundWork, VolumeData
 from .weigh import POINTS
@@ -94,7 +94,7 @@ class Estimates:
             mesh = each.mesh
             assert mesh is not None
             first = int(scene.instances.slot_first[each.instance])
-            slots = volume_of[scene.slot_materials[first : first + slot_count(mesh)]] == each.volume
+            slots = volume_of[scene.slot_materials[first : first + slots_of(mesh)]] == each.volume
             key = (id(mesh), slots.tobytes())
             if key not in numbers:
                 numbers[key] = len(self.surfaces)
