@@ -5,7 +5,8 @@
 
 Each REPORT is what `benchmark.py render FILE --device cuda:0 --samples A,B --against cycles --json REPORT.json` wrote.
 A FILE of docs/real-files.json that lies where compare.py finds it is called as there. Figures are kept in
-docs/studies/data/equal-error-gpu.json; without a REPORT the table is made from that.
+docs/studies/data/equal-error-gpu.json, where a REPORT takes the place of an older one of its file; without a REPORT
+the tables are made from that.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ _FACTS = ("scene", "device", "versions", "frame", "sample_counts", "ray_tracing_
 _KEPT = (*_FACTS, SLOPE, VARIANCE, EQUAL, FIXED, "mean_ratio")
 HEADS = ("file", "RayBatch [ms]", *(f"Cycles, {kind} [ms]" for kind in KINDS), "time of a sample", "variance")
 HEADS += ("equal error", "fixed [s]", "RayBatch's export [s]", "first render [s]", "brightness")
+MORE = "Files that ask for volumes, hair or motion blur:"
 EXPORT = "export_s"  # of RayBatch, from Blender [s]; None where it was not kept
 
 
@@ -58,14 +60,23 @@ def _listed_name(report: dict[str, Any]) -> str:
     return report["scene"]
 
 
+def tables(data: list[dict[str, Any]]) -> str:
+    """The table of files that have surfaces alone, and that of files that ask for more, by the list of real files."""
+    asking = {name_of(entry) for entry in read_listing(LISTING) if entry.get("asks")}
+    plain = table([each for each in data if each["scene"] not in asking])
+    more = [each for each in data if each["scene"] in asking]
+    return f"{plain}\n\n{MORE}\n\n{table(more)}" if more else plain
+
+
 def table(data: list[dict[str, Any]]) -> str:
     """A line about the runs, each file, and the medians; files whose pictures differ are below, apart from them."""
     first = data[0]
-    frame, counts = first["frame"], first["sample_counts"]
+    frame = first["frame"]
+    counts = ", or ".join(dict.fromkeys("{} and {}".format(*each["sample_counts"]) for each in data))
     cores = "with" if first["ray_tracing_cores"] else "without"
     size, versions = f"{frame['width']} x {frame['height']} pixels", first["versions"]
     about = (
-        f"{first['device']['name']} ({cores} ray-tracing cores), {size}, {counts[0]} and {counts[1]} samples, "
+        f"{first['device']['name']} ({cores} ray-tracing cores), {size}, {counts} samples, "
         f"{first['raybatch']['runs']} turns; Blender {versions['blender']}, Warp {versions['warp']}. "
         "Pairs of seconds are RayBatch's / Cycles'."
     )
@@ -100,7 +111,7 @@ def _file_rows(reports: list[dict[str, Any]], remark: str = "") -> list[str]:
 
 def updated(text: str) -> str:
     """The page with the table as it is now."""
-    return with_part(text, *MARKS, table(json.loads(DATA.read_text(encoding="utf-8"))), PAGE)
+    return with_part(text, *MARKS, tables(json.loads(DATA.read_text(encoding="utf-8"))), PAGE)
 
 
 def main(arguments: list[str]) -> int:
@@ -108,7 +119,10 @@ def main(arguments: list[str]) -> int:
     reports = [Path(each) for each in arguments if each != "--check"]
     if reports:
         found = [kept(json.loads(path.read_text(encoding="utf-8"))) for path in reports]
-        write_text(DATA, json_text(found) + "\n")
+        new = {each["scene"] for each in found}
+        known = json.loads(DATA.read_text(encoding="utf-8")) if DATA.exists() else []
+        older = [each for each in known if each["scene"] not in new]
+        write_text(DATA, json_text([*older, *found]) + "\n")
     return write_or_check(PAGE, updated, "scripts/tables/gpu_slopes_table.py", arguments)
 
 
