@@ -94,3 +94,4 @@ docs: environment
 
 clean:
 	rm -rf out dist build .cache
+	rm -f $(VENV)/raybatch-kernels-*

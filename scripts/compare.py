@@ -97,6 +97,13 @@ def argument_parser() -> argparse.ArgumentParser:
         metavar="FOLDER",
         help="begin each file with a copy of these compiled kernels, or with none: “cold” (default: the user's own)",
     )
+    add(
+        "--extension",
+        type=Path,
+        metavar="ZIP",
+        help="render by the add-on in this extension (scripts/package.py makes it), with the kernels that are shipped "
+        "in it, instead of this folder's; Blender and Warp are this environment's",
+    )
     add("--again", action="store_true", help="render everything anew")
     add(
         "--table",

@@ -236,8 +236,10 @@ def request_from(options: argparse.Namespace) -> Request:
 def prewarm(device: str | None) -> None:
     """Compile ahead what any scene can begin with."""
     from raybatch_addon.blender.kernel_cache import kernel_cache_folder
+    from raybatch_addon.core.device.kept_kernels import keep_or_fail
     from raybatch_addon.core.session import Session
 
+    keep_or_fail()
     folder = kernel_cache_folder()
     session = Session(device or "AUTO", cache_folder=folder)
     names = session.prewarm(

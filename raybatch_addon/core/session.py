@@ -86,7 +86,7 @@ class Session:
     ) -> list[str]:
         """Compile ahead for `features`; returns the modules' names.
 
-        Default: what any scene can begin with: trees, tracing without queues, and on a CPU the general kernels.
+        Default: what any scene can begin with: the general kernels, trees, and tracing, as `GeneralRequest` has it.
         """
         kernels = kernels_ahead(features, self.settings, self.device)
         return load_kernels(kernels, self.device, on_progress or (lambda *_: None))

@@ -2,12 +2,15 @@
 
 Run by the Python that the environment is for (`environment.sh` finds it). A stamp in the folder holds what was
 installed; while it matches, nothing is installed again. Another stamp stands for the kernels that any scene can begin
-with. Where it is missing, a process of its own compiles them, in the background after two minutes (`wait`), or
-from the start (`start`); `later` leaves them to a later call.
+with, and holds the code that they are of; a process of its own compiles them and writes it when they are there. Where
+it is missing, they are compiled in the background after two minutes (`wait`), or from the start (`start`), as where it
+is of other code; `later` leaves them to a later call.
 """
 
+import contextlib
 import hashlib
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -15,8 +18,13 @@ import sys
 import time
 import tomllib
 import venv
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRESS = re.compile(r"compiled (\d+) of \d+ modules")  # a line of `render.py --prewarm`
@@ -26,6 +34,9 @@ TICK_SECONDS = 0.1
 NICENESS = 10  # renders, tests and checks come first
 KERNELS = ("wait", "later", "start")  # the first where nothing is said
 GROUPS = ("scripts", "blender", "test")
+CORE = "raybatch_addon/core"  # whose code kernels are made of
+SOURCES = (".py", ".h")
+CACHE_VARIABLE = "RAYBATCH_KERNEL_CACHE"  # names the folder that keeps kernels, where that is not the user's
 
 
 def requirements(pyproject: Path) -> tuple[list[str], list[str]]:
@@ -48,13 +59,10 @@ def main() -> int:
     base = Path(getattr(sys, "_base_executable", sys.executable)).resolve()
     core, rest = requirements(ROOT / "pyproject.toml")
     # An environment holds absolute paths, so one that was moved is made again.
-    identity = json.dumps([core, rest, "{}.{}".format(*sys.version_info), str(folder)])
-    installed, compiled = folder / "raybatch-environment", folder / "raybatch-kernels"
-    expected = hashlib.sha256(identity.encode()).hexdigest()
+    expected = digest([json.dumps([core, rest, "{}.{}".format(*sys.version_info), str(folder)]).encode()])
+    installed = folder / "raybatch-environment"
     python = folder / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
-    command = [str(python), str(ROOT / "scripts/render.py"), "--prewarm", "--device", "cpu"]
-    log = folder / "raybatch-kernels.log"
-    compiler = None
+    job = KernelJob(folder, expected, python)
     if not is_stamped(installed, expected):
         if Path(sys.prefix).resolve() == folder.resolve():  # it cannot clear itself: the Python it came from does it
             return subprocess.call([str(base), __file__, *sys.argv[1:]])
@@ -62,20 +70,101 @@ def main() -> int:
         if code := install(python, core):
             return code
         if kernels != "later":  # beside the installation, which leaves processors idle
-            compiler = begin_apart(command, log)
+            job.begin()
         code = 1
         try:
             code = install(python, rest)
         finally:
-            if code and compiler:
-                compiler.terminate()
+            if code:
+                job.end()
         if code:
             return code
         installed.write_text(expected + "\n", encoding="ascii")
-    if kernels != "later" and not is_stamped(compiled, expected):
-        watch(compiler or begin_apart(command, log), log, WAIT_SECONDS if kernels == "wait" else 0.0)
-        compiled.write_text(expected + "\n", encoding="ascii")
+    if kernels != "later":
+        job.finish(WAIT_SECONDS if kernels == "wait" else 0.0)
     return 0
+
+
+class KernelJob:
+    """The process that compiles what any scene can begin with; another call's may be at it already."""
+
+    def __init__(self, folder: Path, environment: str, python: Path):
+        """In the `folder` of an environment that `environment` stands for, whose Python is `python`."""
+        # each folder that keeps kernels has a stamp of its own
+        kept = os.environ.get(CACHE_VARIABLE, "")
+        name = f"raybatch-kernels-{digest([kept.encode()])[:8]}" if kept else "raybatch-kernels"
+        self._stamp, self._log = folder / name, folder / f"{name}.log"
+        self._lock = folder / f"{name}.lock"  # held by the process that compiles, as long as there is one
+        self._expected = digest([environment.encode(), *sources(ROOT / CORE)])
+        self._command = [str(python), str(Path(__file__).with_name("stamped.py")), str(self._stamp), self._expected]
+        self._process: subprocess.Popen | None = None
+
+    def begin(self) -> None:
+        """Begin to compile, unless another process does."""
+        with held(self._lock) as lock:
+            if lock is not None:
+                self._process = begin_apart([*self._command, *prewarming()], self._log, [lock] if lock else [])
+
+    def end(self) -> None:
+        """End what was begun."""
+        if self._process:
+            self._process.terminate()
+
+    def finish(self, seconds: float) -> None:
+        """See that kernels are there, or being compiled, and wait for so many `seconds` in a new environment.
+
+        After a change of the code nobody waits: whoever works on it calls this before each check and render.
+        """
+        if self._process is None:
+            if is_stamped(self._stamp, self._expected):
+                return
+            if self._stamp.is_file():  # of other code
+                seconds = 0.0
+            self.begin()
+        if self._process:
+            watch(self._process, self._log, seconds)
+        else:
+            print(
+                f"RayBatch: kernels are being compiled already, by a process that writes to {self._log}",
+                file=sys.stderr,
+            )
+
+
+def prewarming() -> list[str]:
+    """The script that compiles what any scene can begin with, and its arguments."""
+    return [str(ROOT / "scripts/render.py"), "--prewarm", "--device", "cpu"]
+
+
+def digest(parts: Sequence[bytes]) -> str:
+    """Of all `parts`, in this order."""
+    found = hashlib.sha256()
+    for part in parts:
+        found.update(len(part).to_bytes(8, "little") + part)
+    return found.hexdigest()
+
+
+def sources(folder: Path) -> list[bytes]:
+    """Names and contents of all sources below `folder`."""
+    paths = sorted(each for each in folder.rglob("*") if each.suffix in SOURCES)
+    return [part for each in paths for part in (each.relative_to(folder).as_posix().encode(), each.read_bytes())]
+
+
+@contextlib.contextmanager
+def held(lock: Path) -> Iterator[int | None]:
+    """The file `lock`, open, and held by this process and those that inherit it until all have closed it; None where
+    others hold it. 0 on Windows, where nobody holds it: two processes may compile the same then, which costs time and
+    nothing else, as each puts whole files into the folder of kernels.
+    """
+    if fcntl is None:
+        yield 0
+        return
+    with lock.open("ab") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            yield None
+        else:
+            yield file.fileno()
 
 
 def is_stamped(stamp: Path, expected: str) -> bool:
@@ -138,8 +227,11 @@ def watch(process: subprocess.Popen, log: Path, seconds: float) -> None:
         print(f"RayBatch: they could not be compiled: {said[-300:] or f'it ended with code {code}'}", file=sys.stderr)
 
 
-def begin_apart(command: Sequence[str], log: Path) -> subprocess.Popen:
-    """Begin `command` at low priority; the end of this process, or of its terminal, does not end it."""
+def begin_apart(command: Sequence[str], log: Path, inherited: Sequence[int] = ()) -> subprocess.Popen:
+    """Begin `command` at low priority; the end of this process, or of its terminal, does not end it.
+
+    It inherits the open files `inherited`.
+    """
     flags, before = 0, []
     if sys.platform == "win32":
         flags = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.BELOW_NORMAL_PRIORITY_CLASS
@@ -152,6 +244,7 @@ def begin_apart(command: Sequence[str], log: Path) -> subprocess.Popen:
             stdout=out,
             stderr=out,
             creationflags=flags,
+            pass_fds=inherited,
             start_new_session=True,
         )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import shlex
 import sys
@@ -14,7 +15,7 @@ from typing import IO, Any
 from lib.command import UsageError
 from lib.output import json_text, write_text
 
-from real_files.code import code_of, what_changed
+from real_files.code import code_of, of_extension, what_changed
 from real_files.judging import NAMES
 from real_files.listing import RealFile, files_listed, files_named
 from real_files.manual import write_manual
@@ -28,6 +29,11 @@ from real_files.worker import PICTURES, SOURCES
 
 def compare(options: argparse.Namespace, root: Path, script: Path, standard_output: IO[str]) -> int:
     """The exit code; raises `UsageError`, and `OutputError` for a folder that cannot be written."""
+    with of_extension(options.extension, script) as chosen:
+        return _compare(options, root, chosen, standard_output)
+
+
+def _compare(options: argparse.Namespace, root: Path, script: Path, standard_output: IO[str]) -> int:
     files = _files(options)
     kernel_cache = options.kernel_cache
     if kernel_cache not in (None, COLD):
@@ -46,6 +52,9 @@ def compare(options: argparse.Namespace, root: Path, script: Path, standard_outp
     }
     if options.kernels != "AUTO":  # else the request is that of comparisons before there was a choice
         request["kernels"] = options.kernels
+    if options.extension:
+        sum_of_all = hashlib.md5(options.extension.read_bytes(), usedforsecurity=False).hexdigest()
+        request["extension"] = f"{options.extension.name} ({sum_of_all})"
     reporter = _Reporter(records, root, request if files else _kept_request(records.folder.parent), options.note)
     for number, file in enumerate(files):
         start = time.monotonic()

@@ -21,8 +21,8 @@ from typing import Any
 
 import numpy as np
 
-import raybatch_addon
 from raybatch_addon.blender.kernel_cache import VARIABLE
+from real_files.code import addon_folder
 from real_files.judging import NAMES
 from real_files.worker import STATE
 
@@ -83,16 +83,16 @@ def run_process(script: Path, request: dict[str, Any], limit: float, kernel_cach
 
 
 @functools.cache
-def _bytecode() -> None:
+def _bytecode(addon: Path) -> None:
     """Blender keeps the bytecode of add-ons from the first time that it reads them."""
-    compileall.compile_dir(Path(raybatch_addon.__file__).parent, quiet=2)
+    compileall.compile_dir(addon, quiet=2)
 
 
 def _as_blender_begins() -> dict[str, str]:
     """The environment of a process in which an engine is as Blender has it: Blender takes none of Python's variables,
     of which one would let each process read the sources of the add-on anew, for half a second.
     """
-    _bytecode()
+    _bytecode(addon_folder())
     return {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
 
 

@@ -1,13 +1,14 @@
 """scripts/compare.py on .blend files, with Cycles."""
 
 import json
+import shutil
 import warnings
 
 import numpy as np
 import pytest
 
 from raybatch_addon.core.settings.settings import RenderSettings
-from tests.support.command_line import run_script
+from tests.support.command_line import ROOT, run_script
 from tests.support.scripts_here import call_script
 
 bpy = pytest.importorskip("bpy")
@@ -64,6 +65,17 @@ def test_a_file_is_rendered_by_both_and_judged_by_its_sources(blend, tmp_path):
     with np.load(next((out / "files").glob("*.npz"))) as pictures:
         alone = [pictures[f"RAYBATCH/source-{number}-1"][..., :3].mean() for number in range(4)]
         assert pictures["RAYBATCH/all-1"].shape == (24, 32, 4) and min(alone) > 0
+
+
+def test_the_add_on_of_an_extension_renders(blend, tmp_path):
+    packed = tmp_path / "packed"
+    shutil.copytree(ROOT / "raybatch_addon", packed, ignore=shutil.ignore_patterns("__pycache__"))
+    (packed / "blender_manifest.toml").write_text('version = "9.8.7"\n')
+    zipped = shutil.make_archive(str(tmp_path / "raybatch"), "zip", packed)
+    done = call_script("compare.py", blend, *SMALL, "--extension", zipped, "--out", tmp_path / "out")
+    report = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert done.returncode == 0 and report["files"][0]["verdict"] == "same", (done.stderr, report["files"])
+    assert report["versions"]["RayBatch"] == "9.8.7"
 
 
 def test_cycles_takes_no_shortcuts(scene):

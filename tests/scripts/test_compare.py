@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -222,6 +223,24 @@ def test_the_code_of_raybatch_is_all_of_the_add_on_and_cycles_does_not_depend_on
     assert code.what_changed(None, theirs) == "code that was not written down"
 
 
+def test_pictures_of_an_extension_are_rendered_by_what_is_in_its_zip(rendered, blends, tmp_path, monkeypatch):
+    addon, before, seen = tmp_path / "addon", code.code_of("RAYBATCH"), []
+    (addon / "core").mkdir(parents=True)
+    (addon / "__init__.py").write_text("mine")
+    zipped, out = shutil.make_archive(str(tmp_path / "mine"), "zip", addon), tmp_path / "out"
+
+    def run(script, request, *_):
+        seen.append((script.parents[1] / "raybatch_addon/__init__.py").read_text())
+        assert (script.parent / "real_files/worker.py").is_file()
+        return rendered(script, request, *_)
+
+    monkeypatch.setattr(comparison, "run_process", run)
+    assert main([*blends[:1], "--out", str(out), "--extension", zipped]) == 0 and seen == ["mine", "mine"]
+    assert report_in(out)["request"]["extension"].startswith("mine.zip (")
+    assert main([*blends[:1], "--out", str(out), "--extension", zipped]) == 0 and len(seen) == 2, "nothing is missing"
+    assert code.code_of("RAYBATCH") == before, "without the option the add-on is this folder's"
+
+
 def test_a_damaged_record_is_rendered_anew(rendered, blends, tmp_path):
     out = tmp_path / "out"
     main([*blends, "--out", str(out)])
@@ -290,6 +309,8 @@ def _no_bpy(folder: Path) -> Path:
         (("--list", ROOT / "docs/testing.json", "--folder", "."), "is no list of files"),
         (("--list", ROOT / "docs/real-files.json", "--folder", ".", "--only", "zzz"), "no file of"),
         (("a.blend", "--kernel-cache", "none"), "is no folder"),
+        (("a.blend", "--extension", "none.zip"), "cannot be unpacked"),
+        (("a.blend", "--extension", ROOT / "docs/testing.json"), "cannot be unpacked"),
         (("--table",), "render files first"),
     ],
 )

@@ -274,6 +274,12 @@ def test_prewarm_fills_the_cache_folder():
     assert any(path.name.startswith("wp_") for path in folder.rglob("*"))
 
 
+def test_prewarm_fails_where_kernels_cannot_be_kept(tmp_path):
+    (tmp_path / "file").touch()
+    done = run_script("render.py", "--prewarm", "--device", "cpu", RAYBATCH_KERNEL_CACHE=tmp_path / "file" / "kernels")
+    assert "compiled kernels cannot be kept in" in error_line(done) and done.returncode == 1
+
+
 def test_a_preset_comes_before_single_settings(sheet, tmp_path):
     saved = tmp_path / "s.scene.npz"
     sets = ("--set", "queue_size=9", "--set", "geometry_budget=1.5G", "--set", "sample_count=3")

@@ -12,6 +12,7 @@ import warp as wp
 
 from ..bvh.build.refit import join_boxes_kernel, write_boxes_kernel
 from ..bvh.build.scene_tree import build_kernels, layout_for
+from ..bvh.pages.chunks import CHUNK_TREE_KERNELS
 from ..film.tile import add_integers_kernel
 from ..scene.description import ClosureKind
 from ..scene.features import SCATTERING, SceneFeatures
@@ -67,19 +68,41 @@ def tree_kernels(device: wp.Device) -> list[wp.Kernel]:
 
 @dataclass(frozen=True)
 class GeneralRequest:
-    """The kernels that any scene can begin with: the general tier, trees, and tracing without queues."""
+    """The kernels that any scene can begin with: the general tier, trees, and tracing without queues; for a CPU also
+    what usual scenes are traced with in queues, beyond memory, and while steps are counted.
+    """
 
     def kernels(self, device: wp.Device) -> list[wp.Kernel]:
-        """All kernels that any scene can begin with."""
+        """All kernels that any scene can begin with, those behind the others that few renders ask for."""
         found = [*general_kernels(device), *tree_kernels(device), add_integers_kernel]
         if device.is_cpu:
             # those of boxes refit trees for the frame behind the first one
             found += [join_boxes_kernel, write_boxes_kernel, *SKY_KERNELS]
         general = general_features(device)
-        for features in (*_plain_scenes(plain_features(general)), *_wide_scenes(general)):
+        plain = _plain_scenes(plain_features(general))
+        for features in (*plain, *_wide_scenes(general)):
             features = dataclasses.replace(features, adaptive=True)  # the kernels of both ways to sample
             found += CompileRequest(features, RenderSettings(), TracingPlan(Method.UNBATCHED), general).kernels(device)
+        if device.is_cpu:
+            for features, settings, method in _rare_tracing(plain):
+                tracing = Tracing.of(TracingPlan(method), layout_for(device), features)
+                found += tracing_kernels(features, settings, tracing, device)
+            found += CHUNK_TREE_KERNELS
         return found
+
+
+def _rare_tracing(plain: list[SceneFeatures]) -> list[tuple[SceneFeatures, RenderSettings, Method]]:
+    """Ways to trace rays of usual scenes that few renders ask for, and that compile soon (with trees beyond memory, 39
+    modules take 11 to 13 s of a processor, measured). `plain` is what `_plain_scenes` gives.
+    """
+    flat, instanced = plain[0], plain[2]
+    usual, counted = RenderSettings(), RenderSettings(counters="ON")
+    return [
+        (flat, usual, Method.PAGED),
+        (flat, counted, Method.UNBATCHED),
+        (instanced, counted, Method.UNBATCHED),
+        (flat, usual, Method.BATCHED),
+    ]
 
 
 # shadow rays ask for closest hits only where surfaces are transparent

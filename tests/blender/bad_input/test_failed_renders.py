@@ -317,3 +317,23 @@ def test_a_cancel_keeps_what_is_done_of_a_tile(lit, monkeypatch, films):
     assert written == [(0, 0, 32, 24)], "what is done is shown"
     picture = film.passes["Combined"]
     assert picture[12, 16, :3] == pytest.approx([1, 1, 1]) and picture[0, 0, :3] == pytest.approx(BACKGROUND, rel=1e-5)
+
+
+# Where the cancel of each part is tested, or why it is not
+CANCELLED = {
+    "export": test_a_cancel_during_export_renders_nothing,
+    "start": "imports and the device's own start cannot be ended; the next part asks",
+    "check": "nothing is made in it: the next part asks",
+    "wait": test_a_cancel_while_a_cancelled_render_is_waited_for,
+    "checkpoint": "files are read and written whole; tests/renders/checkpoints cancels before and behind that",
+    **dict.fromkeys(LONG, test_a_cancel_does_not_wait_for_what_takes_long),
+    "paths": test_a_cancel_while_room_for_paths_is_made,
+    "render": test_a_cancel_keeps_what_is_done_of_a_tile,
+    "report": "the render is over: there is nothing to leave out",
+    "denoise": "tests/blender/denoising/test_denoising.py: test_a_cancel_ends_denoising_and_keeps_the_noisy_picture",
+    "write": "the render is over: the picture is kept, whole",
+}
+
+
+def test_a_cancel_in_each_part_is_tested_or_has_a_reason():
+    assert CANCELLED.keys() == PARTS.keys()

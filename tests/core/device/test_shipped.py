@@ -136,6 +136,14 @@ def test_a_processor_with_too_few_instructions_compiles(kernel, monkeypatch):
     assert "need a processor of at least x86-64-v2; kernels are compiled here instead" in note
 
 
+def test_a_gpu_that_nothing_was_shipped_for_is_said(kernel, folder):
+    index = json.loads((folder / INDEX).read_text())
+    change(folder, targets={**index["targets"], "sm_90": {}})
+    card = SimpleNamespace(is_cuda=True, is_cpu=False, arch=50, name="an old card")
+    assert shipped.shipped_files(kernel.module, card, 1) is None
+    assert take_notes() == ["there are no shipped kernels for an old card; kernels are compiled here instead"]
+
+
 def test_general_kernels_of_other_code_are_said(folder, made):
     make_kernels(folder, made, [kernel_to_ship()], [BEST])
     module = wp.get_module(f"{GENERAL_MODULE}_stages")

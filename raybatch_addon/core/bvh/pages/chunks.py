@@ -48,6 +48,10 @@ def chunk_size(layout: Layout, page_bytes: int, spatial_splits: bool, steps: int
     return max(int(page_bytes / bytes_each / (_SPLIT_SHARE if spatial_splits else 1)), 1)
 
 
+# What builds trees of chunks on a CPU, beside `build_kernels`
+CHUNK_TREE_KERNELS = (collapse_quantised_kernel, fill_quantised_kernel, place_groups_kernel, place_triangles_kernel)
+
+
 class ChunkBuilder:
     """Builds the chunks of meshes."""
 
@@ -77,9 +81,7 @@ class ChunkBuilder:
         cpu = wp.get_device("cpu")
         if not self.on_device:
             # before threads launch them
-            placed = place_groups_kernel, place_triangles_kernel
-            kernels = [*build_kernels(cpu), collapse_quantised_kernel, fill_quantised_kernel, *placed]
-            for kernel in kernels:
+            for kernel in [*build_kernels(cpu), *CHUNK_TREE_KERNELS]:
                 kernel.module.load(cpu, 1)
         self.where = device if self.on_device else cpu  # what divides meshes
         self._threads = worker_count(cpu, 0)

@@ -31,9 +31,8 @@ def tracer_kernels(
     counted.
     """
     if tracing.method is Method.BATCHED:
-        cut = TREELET_KERNELS if device.is_cuda else ()
         known = tracing.layout, tracing.instancing, counts, settings, device, tracing.curves, tracing.moving
-        return [*batching_kernels(*known), *cut]
+        return [*batching_kernels(*known), *TREELET_KERNELS]
     if tracing.method is Method.PAGED:
         made = (*CHUNK_KERNELS, *ENCODE_KERNELS) if device.is_cuda else ()
         launched = compiled_ahead(tracing.layout, counts, settings, tracing.curves, tracing.moving)
