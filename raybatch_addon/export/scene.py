@@ -12,6 +12,7 @@ import numpy as np
 from ..core.scene.description import Camera, Frame, Scene
 from ..core.scene.notice import Notice, Weight, by_weight
 from ..core.scene.passes import CATCHER_PASS, CATCHER_SHADOWS
+from ..core.shading.volumes.overlaps import crowded_volumes
 from .camera import export_camera
 from .drivers import failed_drivers
 from .meshes.instances import Cancelled, collect_placements
@@ -97,6 +98,7 @@ def _exported(
         else:
             moved = replace(moved[0], shutter=export_shutter(scene)), *moved[1:]
         exported = replace(exported, camera=moved[0], instances=moved[1], meshes=tuple(moved[2]))
+    warnings += crowded_volumes(exported)
     return replace(exported, warnings=tuple(by_weight(dict.fromkeys(warnings))))
 
 

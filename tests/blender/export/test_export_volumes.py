@@ -11,7 +11,7 @@ from raybatch_addon.core.scene.notice import Weight
 from raybatch_addon.export.meshes import volumes
 from raybatch_addon.export.meshes.smoke import any_grids
 from raybatch_addon.export.meshes.volumes import export_volume
-from tests.support.blender_builders import add_object
+from tests.support.blender_builders import add_object, exported, material_of, node_tree
 
 
 def _openvdb():
@@ -228,3 +228,14 @@ def test_simplify_makes_voxels_larger(scene, tmp_path):
         means.append(grid.values[grid.values > 0].mean())
     np.testing.assert_allclose(steps, [1, 2, 4])
     np.testing.assert_allclose(means, means[0], rtol=0.05)
+
+
+def test_volumes_of_more_meshes_than_a_ray_notices_are_named_before_a_render(scene):
+    for k in range(6):
+        bpy.ops.mesh.primitive_cube_add(size=2.0 - 0.1 * k)
+        tree, surface = node_tree(material_of(bpy.context.object))
+        volume = tree.nodes.new("ShaderNodeVolumeScatter")
+        tree.links.new(volume.outputs[0], surface.node.inputs["Volume"])
+        said = [each for each in exported().warnings if "overlap" in each]
+        assert len(said) == (k > 3), said
+    assert len(said[0].objects) == 6 and "“Cube.005”" in said[0] and said[0].weight == Weight.MISSING
