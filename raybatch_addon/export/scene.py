@@ -77,7 +77,7 @@ def _exported(
         placements = collect_placements(depsgraph, cancelled, exposure is not None)
     except Cancelled:
         return None
-    exported = assembled(depsgraph, camera, frame, placements, warnings)
+    exported = assembled(depsgraph, camera, frame, placements, warnings, moves=exposure is not None and not sharp)
     warnings += (
         failed_drivers(depsgraph)
         + [Notice(line, Weight.MISSING) for line in _unsupported(scene, depsgraph.view_layer)]
@@ -98,14 +98,22 @@ def _exported(
         else:
             moved = replace(moved[0], shutter=export_shutter(scene)), *moved[1:]
         exported = replace(exported, camera=moved[0], instances=moved[1], meshes=tuple(moved[2]))
+        warnings += steps.warnings
     warnings += crowded_volumes(exported)
     return replace(exported, warnings=tuple(by_weight(dict.fromkeys(warnings))))
 
 
 def assembled(
-    depsgraph: bpy.types.Depsgraph, camera: Camera, frame: Frame, placements: Placements, warnings: list[str]
+    depsgraph: bpy.types.Depsgraph,
+    camera: Camera,
+    frame: Frame,
+    placements: Placements,
+    warnings: list[str],
+    moves: bool = False,
 ) -> Scene:
-    """The scene of `placements` as it is now; `warnings` gets those about its parts."""
+    """The scene of `placements` as it is now; `warnings` gets those about its parts. `moves`: what is flat now may be
+    so for a moment.
+    """
     if placements.catches and CATCHER_PASS not in frame.passes:
         frame = replace(frame, passes=(*frame.passes, CATCHER_SHADOWS))
     collections = placements.materials.collections
@@ -115,7 +123,7 @@ def assembled(
     groups = [each.name for each in depsgraph.view_layer.lightgroups]
     if shown is not None and shown.lightgroup in groups:
         world = replace(world, light_group=groups.index(shown.lightgroup))
-    instances = placements.instances("Object Index" in frame.passes)
+    instances = placements.instances("Object Index" in frame.passes, moves)
     warnings += placements.warnings + collections.warnings
     return Scene(
         camera=camera,

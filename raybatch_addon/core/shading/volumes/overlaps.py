@@ -7,7 +7,7 @@ import numpy as np
 from ...float32 import UNIT_ROUNDOFF
 from ...scene.description import Scene
 from ...scene.motion import knots, maps_at, motion_keys, moving_maps
-from ...scene.notice import Notice, Weight
+from ...scene.notice import Notice, Weight, quoted
 from .enclosures import VolumeSlots, box_corners
 
 # Volumes of meshes that a ray is in at once; those that it enters beyond them are not noticed
@@ -16,8 +16,6 @@ INSIDE_MOST = 4
 _PARTS_PER_BOX = 16
 # Boxes that share less than this part of their edges, or of their coordinates in roundings, only touch
 _TOUCHING, _ROUNDINGS = 1e-5, 64.0
-# Objects that a notice names
-_NAMED_MOST = 8
 
 
 def volume_numbers(scene: Scene) -> np.ndarray:
@@ -47,11 +45,9 @@ def crowded_volumes(scene: Scene) -> list[Notice]:
         return []
     owners = scene.instances.object[[bounded[k].instance for k in crowd]]
     names = [scene.object_names[k] for k in np.unique(owners).tolist() if 0 <= k < len(scene.object_names)]
-    listed = ", ".join(f"“{name}”" for name in names[:_NAMED_MOST])
-    listed += f" and {len(names) - _NAMED_MOST:,} more" if len(names) > _NAMED_MOST else ""
     text = (
         f"more than {INSIDE_MOST} volumes may overlap in one place, and a ray is in {INSIDE_MOST} of them at most: "
-        f"those that it enters beyond them are not in the picture (among {listed or 'objects without name'})"
+        f"those that it enters beyond them are not in the picture (among {quoted(names) or 'objects without name'})"
     )
     remedy = "move these objects apart, or fill one object with the volume of several"
     return [Notice(text, Weight.MISSING, objects=names, remedy=remedy)]
