@@ -15,7 +15,7 @@ from ...core.scene.description import Grid, Mesh
 from ...core.scene.frozen import freeze
 from ...core.scene.notice import Notice, Weight
 from ...core.shading.volumes.grids import CUBE_CORNERS, TILE, cut_into_tiles
-from .smoke import smoke_grids
+from .smoke import not_finite, smoke_grids
 
 # Most values of the tiles of a grid that hold any: more do not fit a computer's memory
 _VALUES_MOST = 1 << 29
@@ -158,20 +158,23 @@ def _grid(name: str, read, label: str, warnings: list[str]) -> tuple[Grid, np.nd
         warnings.append(Notice(text, Weight.REPAIRED))
         return None
     inverse = np.linalg.inv(to_object[:, :3])
-    corners, values = found
+    corners, values, lost = found
+    if lost:
+        warnings.append(not_finite(label, name, lost))
     grid = Grid(name, freeze(values), np.column_stack([inverse, -inverse @ origin]), freeze(corners))
     return grid, _box(grid, first - begin, last - begin)
 
 
-def _tiles(read, first: np.ndarray, last: np.ndarray, begin: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Where tiles of the OpenVDB grid `read` begin, from `begin` on, and their values, as in `Grid`; None where there
-    are too many. `first`, `last`: of its active voxels.
+def _tiles(read, first: np.ndarray, last: np.ndarray, begin: np.ndarray) -> tuple[np.ndarray, np.ndarray, int] | None:
+    """Where tiles of the OpenVDB grid `read` begin, from `begin` on, and their values, as in `Grid`; and how many
+    numbers are 0 there as float32 has them not. None where there are too many. `first`, `last`: of its active voxels.
     """
     width = (3,) if read.valueTypeName.startswith("vec3") else ()
     if read.activeVoxelCount() * max(3 * len(width), 1) > _VALUES_MOST:
         return None
     stored = np.float64 if read.valueTypeName in ("double", "vec3d") else np.float32
     corners, tiles, count = [np.zeros((0, 3), np.int32)], [np.zeros((0, TILE, TILE, TILE, *width), np.float32)], 0
+    lost = 0
     for block in _blocks(read, first, last, begin):
         low = begin + np.array(block) * _BLOCK
         # what lies beyond the active voxels is empty, whatever the grid says of it
@@ -182,14 +185,19 @@ def _tiles(read, first: np.ndarray, last: np.ndarray, begin: np.ndarray) -> tupl
             continue
         whole = np.zeros((_BLOCK,) * 3 + width, np.float32)
         part = tuple(slice(a, b) for a, b in zip((start - low).tolist(), (end - low + 1).tolist()))
-        whole[part] = np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0)
+        with np.errstate(over="ignore"):  # numbers of float64 that float32 has not
+            whole[part] = values
+        finite = np.isfinite(whole)
+        if not finite.all():
+            lost += whole.size - np.count_nonzero(finite)
+            whole[~finite] = 0
         corner, cut = cut_into_tiles(whole)
         corners.append((corner + low - begin).astype(np.int32))
         tiles.append(cut)
         count += cut.size
         if count > _VALUES_MOST:
             return None
-    return np.concatenate(corners), np.concatenate(tiles)
+    return np.concatenate(corners), np.concatenate(tiles), lost
 
 
 def _blocks(read, first: np.ndarray, last: np.ndarray, begin: np.ndarray) -> Iterable[tuple[int, int, int]]:

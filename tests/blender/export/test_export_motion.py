@@ -173,3 +173,31 @@ def test_an_object_without_a_place_at_one_time_is_named(blurred):
     assert got.instances.motion is None
     said = [text for text in got.warnings if "not finite" in text]
     assert len(said) == 1 and said[0].objects == ("Lost",)
+
+
+@pytest.mark.parametrize("is_hair", [False, True])
+@pytest.mark.parametrize(
+    "kind, elsewhere, values, word",
+    [
+        ("FLOAT_VECTOR", False, [1.0, 0.0, 0.0], ""),
+        ("FLOAT_VECTOR", True, [1.0, 0.0, 0.0], "domain"),
+        ("FLOAT_COLOR", False, [1.0, 0.0, 0.0, 0.0], "FLOAT_COLOR"),
+        ("FLOAT_VECTOR", False, [np.nan, 0.0, 0.0], "4 values"),
+    ],
+)
+def test_velocities_that_move_nothing_are_named(blurred, is_hair, kind, elsewhere, values, word):
+    if is_hair:
+        data = bpy.data.hair_curves.new("Moved")
+        data.add_curves([2, 2])
+        data.position_data.foreach_set("vector", np.float32([0, 0, 0, 0, 0, 1, 1, 0, 0, 1, 0, 1]))
+        add_object("Moved", data)
+    else:
+        data = add_grid("Moved", 1).data
+    velocity = data.attributes.new("velocity", kind, ("CURVE" if is_hair else "FACE") if elsewhere else "POINT")
+    name = "color" if kind == "FLOAT_COLOR" else "vector"
+    velocity.data.foreach_set(name, np.float32(values * len(velocity.data)))
+    got = rendered_scene()
+    said = [text for text in got.warnings if "velocity" in text]
+    assert (got.meshes[0].motion is None) == bool(word) == bool(said)
+    if word:
+        assert len(said) == 1 and word in said[0] and said[0].objects == ("Moved",)

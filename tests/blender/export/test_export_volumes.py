@@ -188,6 +188,10 @@ def test_smoke_has_its_grids_in_the_box_of_its_domain(scene, tmp_path):
     to_index = by_name["density"].to_index
     # the middle of the first cell, which is 1 m long, wide and high
     assert np.allclose(to_index[:, :3] @ (-0.5, -1.0, -0.5) + to_index[:, 3], 0)
+    domain.density_grid[0] = np.inf
+    odd = export_volume(obj, ["density"], 1, warnings).grids[0]
+    density[0, 0, 0] = 0
+    assert np.array_equal(odd.values, density) and len(warnings) == 1 and "1 numbers" in warnings.pop()
     domain.density_grid = _Stored(np.zeros(24, np.float32))
     assert export_volume(obj, ["density"], 1, warnings) is None
     assert len(warnings) == 1 and "Smoke" in warnings[0] and "cache" in warnings[0]
@@ -239,3 +243,23 @@ def test_volumes_of_more_meshes_than_a_ray_notices_are_named_before_a_render(sce
         said = [each for each in exported().warnings if "overlap" in each]
         assert len(said) == (k > 3), said
     assert len(said[0].objects) == 6 and "“Cube.005”" in said[0] and said[0].weight == Weight.MISSING
+
+
+@pytest.mark.parametrize("kind", ["FloatGrid", "DoubleGrid"])
+def test_voxels_that_are_no_numbers_become_0_and_are_counted(scene, tmp_path, kind):
+    """Numbers of float64 that float32 has not are none of it either."""
+    openvdb = _openvdb()
+    if not hasattr(openvdb, kind):
+        pytest.skip(f"this module has no {kind}")
+    values = np.ones((4, 4, 4), np.float32 if kind == "FloatGrid" else np.float64)
+    values[0, 0, 1:3] = (np.inf, -np.inf if kind == "FloatGrid" else 1e300)
+    grid = getattr(openvdb, kind)()
+    grid.name = "density"
+    grid.copyFromArray(values)
+    grid.getAccessor().setValueOn((0, 0, 0), np.nan)
+    openvdb.write(str(tmp_path / "odd.vdb"), [grid])
+    warnings = []
+    (found,) = export_volume(_volume(tmp_path / "odd.vdb"), ["density"], 1, warnings).grids
+    assert found.values.sum() == 61 and len(warnings) == 1
+    assert "“density”" in warnings[0] and "3 numbers" in warnings[0]
+    assert warnings[0].weight == Weight.REPAIRED and warnings[0].objects[0].startswith("Smoke")
