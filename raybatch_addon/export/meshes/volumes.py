@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import itertools
 import math
 import os
@@ -15,6 +16,7 @@ from ...core.scene.description import Grid, Mesh
 from ...core.scene.frozen import freeze
 from ...core.scene.notice import Notice, Weight
 from ...core.shading.volumes.grids import CUBE_CORNERS, TILE, cut_into_tiles
+from ...core.shading.volumes.vdb_header import header_is_whole
 from .smoke import not_finite, smoke_grids
 
 # Most values of the tiles of a grid that hold any: more do not fit a computer's memory
@@ -77,6 +79,9 @@ def _read(obj: bpy.types.Object, names: list[str], label: str, warnings: list[st
     """Name and OpenVDB grid of those of `names` that the volume object `obj` has."""
     volume = obj.data
     is_made = len(obj.modifiers) > 0 or not (volume.filepath or volume.packed_file)
+    if not is_made and not volume.grids.is_loaded and not _has_header(volume):
+        warnings.append(f"{label}: its file “{volume.filepath}” is cut off in its header; it is left out")
+        return
     if not is_made and not volume.grids.is_loaded and not volume.grids.load():
         why = volume.grids.error_message or "why is not known"
         warnings.append(f"{label}: its file “{volume.filepath}” cannot be read ({why}); it is left out")
@@ -113,6 +118,19 @@ def _read(obj: bpy.types.Object, names: list[str], label: str, warnings: list[st
                     f"{label}: its grid “{name}” cannot be read from “{path}” ({' '.join(str(error).split())}); it "
                     "counts as missing"
                 )
+
+
+def _has_header(volume: bpy.types.Volume) -> bool:
+    """Whether the header of its file is whole; True where the file cannot be opened, of which Blender says more."""
+    if volume.packed_file is not None:
+        data = volume.packed_file.data
+        return header_is_whole(io.BytesIO(data), len(data))
+    path = volume.grids.frame_filepath or bpy.path.abspath(volume.filepath, library=volume.library)
+    try:
+        with open(path, "rb") as file:
+            return header_is_whole(file, os.path.getsize(path))
+    except OSError:
+        return True
 
 
 def _is_coarser(grid: bpy.types.VolumeGrid, read) -> bool:

@@ -1,5 +1,6 @@
 """Volume objects: grids as the file has them, and files that cannot be read."""
 
+import io
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from raybatch_addon.core.scene.notice import Weight
+from raybatch_addon.core.shading.volumes.vdb_header import header_is_whole
 from raybatch_addon.export.meshes import volumes
 from raybatch_addon.export.meshes.smoke import any_grids
 from raybatch_addon.export.meshes.volumes import export_volume
@@ -67,11 +69,13 @@ def test_a_grid_has_the_values_and_the_place_of_its_file(scene, grid_file):
 
 def test_what_cannot_be_read_is_said_by_name(scene, grid_file, tmp_path):
     path, _ = grid_file
-    cut = tmp_path / "cut.vdb"
-    cut.write_bytes(path.read_bytes()[:200])
+    whole = path.read_bytes()
+    cut = {size: tmp_path / f"cut {size}.vdb" for size in (50, 200, 210, len(whole) // 3, len(whole) // 2)}
+    for size, file in cut.items():  # in the header, in what describes a grid, and in its leaves
+        file.write_bytes(whole[:size])
     for source, names, word in (
         (tmp_path / "missing.vdb", ["density"], "missing.vdb"),
-        (cut, ["density"], "cut.vdb"),
+        *((file, ["density"], file.name) for file in cut.values()),
         (path, ["number"], "int32"),
         (path, ["heat"], "“heat”"),
     ):
@@ -80,6 +84,27 @@ def test_what_cannot_be_read_is_said_by_name(scene, grid_file, tmp_path):
         assert export_volume(obj, names, 1, warnings) is None
         assert warnings[0].weight == Weight.MISSING and warnings[0].objects == (obj.name,)
         assert len(warnings) == 1 and "Smoke" in warnings[0] and word in warnings[0], (source, warnings)
+
+
+def test_a_good_grid_beside_one_of_an_unknown_type_or_one_that_is_cut_off_is_read(scene, grid_file, tmp_path):
+    path, values = grid_file
+    cut = tmp_path / "cut.vdb"
+    cut.write_bytes(path.read_bytes()[:-400])
+    for source, word in ((path, "int32"), (cut, "cut.vdb")):
+        warnings = []
+        mesh = export_volume(_volume(source), ["density", "number"], 1, warnings)
+        assert [grid.name for grid in mesh.grids] == ["density"], source
+        assert np.count_nonzero(mesh.grids[0].values) == values.size
+        assert len(warnings) == 1 and "“number”" in warnings[0] and word in warnings[0]
+        assert warnings[0].weight == Weight.MISSING
+
+
+def test_only_files_whose_header_is_cut_off_are_refused_by_it(grid_file):
+    whole = grid_file[0].read_bytes()
+    accepted = [header_is_whole(io.BytesIO(whole[:size]), size) for size in range(len(whole) + 1)]
+    first = accepted.index(True)  # behind the description of the first grid
+    assert accepted[-1] and 300 < first < 1000 and all(accepted[first : len(whole) // 3])
+    assert header_is_whole(io.BytesIO(b"no such file" * 9), 108)
 
 
 def test_grids_that_are_nearly_empty_are_read_where_there_is_something(scene, tmp_path):
