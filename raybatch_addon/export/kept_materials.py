@@ -57,9 +57,14 @@ class UntouchedMaterials:
 
 def is_aimed_at(material: bpy.types.Material) -> bool:
     """Whether light is aimed at what of `material` emits."""
+    return emission_sampling(material) != "NONE"
+
+
+def emission_sampling(material: bpy.types.Material) -> str:
+    """Which sides of `material` are aimed at for their light, as Cycles names them."""
     # the setting belongs to Cycles, and is there as long as that add-on is enabled; a change of it updates no copy that
     # was evaluated
-    return getattr(getattr(material.original, "cycles", None), "emission_sampling", "AUTO") != "NONE"
+    return getattr(getattr(material.original, "cycles", None), "emission_sampling", "AUTO")
 
 
 class KeptMaterials(KeptGraphs):
@@ -75,7 +80,7 @@ class KeptMaterials(KeptGraphs):
         if material is None or not has_nodes(material):
             return None
         own = material.pass_index, material.displacement_method, tuple(material.diffuse_color)
-        return self.graph_signature(material, *own, is_aimed_at(material))
+        return self.graph_signature(material, *own, emission_sampling(material))
 
     def find_untouched(self, material: bpy.types.Material | None) -> tuple[Material, list[str]] | None:
         """Find a material as `find` does, one that no edit touched, without its signature."""

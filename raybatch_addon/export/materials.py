@@ -11,8 +11,8 @@ import bpy
 from ..core.programs.builder import Value
 from ..core.programs.op import VOLUME_PREFIX
 from ..core.scene.description import Closure, ClosureKind, Material
-from ..core.scene.notice import Notice, as_notice
-from .kept_materials import KeptMaterials, UntouchedMaterials, is_aimed_at
+from ..core.scene.notice import Notice, Weight, as_notice
+from .kept_materials import KeptMaterials, UntouchedMaterials, emission_sampling, is_aimed_at
 from .nodes.collections import Collections
 from .nodes.compile import compile_displacement, compile_graph, compile_volume, default_volume
 from .nodes.graph import find_source
@@ -24,6 +24,7 @@ from .world import has_nodes
 BOUNDARY = (Closure(ClosureKind.TRANSPARENT, (1.0, 1.0, 1.0)),), (ClosureKind.TRANSPARENT,)
 _DEFAULT_GREY = (0.8, 0.8, 0.8)  # Blender's surface without a material
 _HOLDOUT = "holdout"  # what the camera sees of holdout objects
+_AIMED_AT_BOTH = "Emission Sampling of one side: rays are aimed at both sides of what emits; noise differs"
 # Most objects that a message about their material names
 _NAMED_USERS = 3
 
@@ -160,6 +161,8 @@ def export_material(
     moves = "Displacement" in linked and material.displacement_method != "BUMP"
     bends = "Displacement" in linked and material.displacement_method != "DISPLACEMENT"
     compiled = compile_graph(output.inputs["Surface"], material, collections, bends)
+    if emission_sampling(material) in ("FRONT", "BACK") and ClosureKind.EMISSION in compiled.kinds:
+        notes.append(Notice(_AIMED_AT_BOTH, Weight.SETTING, remedy="set Emission Sampling to Front and Back, or None"))
     displacement = None
     if moves:
         moved = compile_displacement(output.inputs["Displacement"], material, collections)

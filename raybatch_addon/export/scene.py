@@ -12,6 +12,7 @@ import numpy as np
 from ..core.scene.description import Camera, Frame, Scene
 from ..core.scene.notice import Notice, Weight, by_weight
 from ..core.scene.passes import CATCHER_PASS, CATCHER_SHADOWS
+from ..core.shading.volumes.overlaps import crowded_volumes
 from .camera import export_camera
 from .drivers import failed_drivers
 from .meshes.instances import Cancelled, collect_placements
@@ -76,7 +77,7 @@ def _exported(
         placements = collect_placements(depsgraph, cancelled, exposure is not None)
     except Cancelled:
         return None
-    exported = assembled(depsgraph, camera, frame, placements, warnings)
+    exported = assembled(depsgraph, camera, frame, placements, warnings, moves=exposure is not None and not sharp)
     warnings += (
         failed_drivers(depsgraph)
         + [Notice(line, Weight.MISSING) for line in _unsupported(scene, depsgraph.view_layer)]
@@ -97,13 +98,22 @@ def _exported(
         else:
             moved = replace(moved[0], shutter=export_shutter(scene)), *moved[1:]
         exported = replace(exported, camera=moved[0], instances=moved[1], meshes=tuple(moved[2]))
+        warnings += steps.warnings
+    warnings += crowded_volumes(exported)
     return replace(exported, warnings=tuple(by_weight(dict.fromkeys(warnings))))
 
 
 def assembled(
-    depsgraph: bpy.types.Depsgraph, camera: Camera, frame: Frame, placements: Placements, warnings: list[str]
+    depsgraph: bpy.types.Depsgraph,
+    camera: Camera,
+    frame: Frame,
+    placements: Placements,
+    warnings: list[str],
+    moves: bool = False,
 ) -> Scene:
-    """The scene of `placements` as it is now; `warnings` gets those about its parts."""
+    """The scene of `placements` as it is now; `warnings` gets those about its parts. `moves`: what is flat now may be
+    so for a moment.
+    """
     if placements.catches and CATCHER_PASS not in frame.passes:
         frame = replace(frame, passes=(*frame.passes, CATCHER_SHADOWS))
     collections = placements.materials.collections
@@ -113,7 +123,7 @@ def assembled(
     groups = [each.name for each in depsgraph.view_layer.lightgroups]
     if shown is not None and shown.lightgroup in groups:
         world = replace(world, light_group=groups.index(shown.lightgroup))
-    instances = placements.instances("Object Index" in frame.passes)
+    instances = placements.instances("Object Index" in frame.passes, moves)
     warnings += placements.warnings + collections.warnings
     return Scene(
         camera=camera,

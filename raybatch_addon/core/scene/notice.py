@@ -6,6 +6,9 @@ from collections.abc import Iterable
 from enum import IntEnum
 from typing import Any
 
+# Names that a message lists
+_NAMED_MOST = 8
+
 
 class Weight(IntEnum):
     """How much a picture differs by what a notice is about."""
@@ -60,6 +63,13 @@ def about(message: str, name: str, objects: Iterable[str] = ()) -> Notice:
     notice = as_notice(message)
     text = f"{name}: {notice}"
     return Notice(text, notice.weight, objects=objects, nodes=notice.nodes, remedy=notice.remedy)
+
+
+def quoted(names: Iterable[str]) -> str:
+    """The first of different `names`, in quotation marks, and how many more there are."""
+    different = list(dict.fromkeys(names))
+    more = len(different) - _NAMED_MOST
+    return ", ".join(f"“{name}”" for name in different[:_NAMED_MOST]) + (f" and {more:,} more" if more > 0 else "")
 
 
 def by_weight(messages: Iterable[str]) -> list[Notice]:

@@ -11,6 +11,7 @@ import numpy as np
 from ..errors import SceneError
 from .description import Camera, Frame, InstanceMaps, Instances, Light, LightKind, Mesh, Scene, World
 from .frozen import fact
+from .notice import Notice, Weight, quoted
 from .passes import PASSES, is_pass
 
 # Largest coordinate; squares of larger ones leave float32
@@ -38,7 +39,7 @@ def checked_scene(scene: Scene) -> Scene:
         lights=tuple(light for light in scene.lights if _is_usable(light, warnings)),
         world=_checked_world(scene.world, warnings),
     )
-    if not warnings:
+    if not warnings and checked.instances is scene.instances:
         return scene
     return dataclasses.replace(checked, warnings=(*scene.warnings, *warnings))
 
@@ -241,8 +242,9 @@ def _with_equal_steps(meshes: list[Mesh], warnings: list[str]) -> list[Mesh]:
     return result
 
 
-def _with_usable_maps(instances: Instances, warnings: list[str]) -> Instances:
-    """`instances`, of which those stand still whose motion is not finite or comes too far."""
+def _with_usable_maps(scene: Scene, warnings: list[str]) -> Instances:
+    """The instances of `scene`, of which those stand still whose motion is not finite or comes too far."""
+    instances = scene.instances
     for name, what in (("motion", "motion"), ("frames", "motion between frames")):
         moved = getattr(instances, name)
         if moved is None:
@@ -254,11 +256,42 @@ def _with_usable_maps(instances: Instances, warnings: list[str]) -> Instances:
         with np.errstate(invalid="ignore"):
             good = (np.abs(moved.maps) <= COORDINATE_MAX).all((1, 2, 3))
         if not good.all():
-            count = int((~good).sum())
-            warnings.append(f"{count:,} objects move to places that are not finite or too far: they stand still")
+            names = [_object_name(scene, i) for i in moved.instance[~good].tolist()]
+            text = (
+                f"objects {quoted(names)}: the {what} leads to places that are not finite or too far: they stand still"
+            )
+            warnings.append(Notice(text, Weight.REPAIRED, objects=dict.fromkeys(names)))
             kept = InstanceMaps(moved.instance[good], moved.maps[good])
             instances = _with_maps(instances, name, kept)
     return instances
+
+
+def _with_regular_places(instances: Instances) -> Instances:
+    """`instances`, of which those that move and have no inverse in the middle are where they have one, at the step that
+    is nearest to it: what is asked of their place is finite. Their motion is as it was.
+    """
+    motion = instances.motion
+    if motion is None or not len(motion.instance):
+        return instances
+    flat = np.flatnonzero(~is_regular(instances.transform[motion.instance]))
+    if not len(flat):
+        return instances
+    steps = motion.maps.shape[1]
+    order = np.argsort(np.abs(np.arange(steps) - (steps - 1) / 2), kind="stable")
+    usable = is_regular(motion.maps[flat])[:, order]
+    some = usable.any(1)
+    transform = instances.transform.copy()
+    transform[motion.instance[flat[some]]] = motion.maps[flat[some], order[usable[some].argmax(1)]]
+    return dataclasses.replace(instances, transform=transform)
+
+
+def is_regular(maps: np.ndarray) -> np.ndarray:
+    """Whether maps [..., 3, 4] are finite and have an inverse in float32: the smallest singular value is not lost in
+    the rounding of the largest. bool, shape [...].
+    """
+    finite = np.isfinite(maps).all((-2, -1))
+    sizes = np.linalg.svd(np.where(finite[..., None, None], maps[..., :3], 0).astype(np.float64), compute_uv=False)
+    return finite & (sizes[..., 2] > sizes[..., 0] * np.finfo(np.float32).eps)
 
 
 def _with_maps(instances: Instances, name: str, maps: InstanceMaps | None) -> Instances:
@@ -297,9 +330,9 @@ def _is_finite(values: np.ndarray) -> bool:
 
 
 def _checked_instances(scene: Scene, warnings: list[str]) -> Instances:
-    instances = scene.instances
-    if len(instances) == 0:
-        return instances
+    if len(scene.instances) == 0:
+        return scene.instances
+    instances = _with_regular_places(_with_usable_maps(scene, warnings))
     linear = instances.transform[:, :, :3].astype(np.float64)
     finite = np.isfinite(instances.transform).all((1, 2))
     linear[~finite] = 0
@@ -338,9 +371,11 @@ def _checked_instances(scene: Scene, warnings: list[str]) -> Instances:
         text = f"object “{_object_name(scene, i)}” has {why}: it is not rendered"
         if text not in warnings:
             warnings.append(text)
-    instances = _with_usable_maps(instances, warnings)
-    if keep.all():
-        return instances
+    return instances if keep.all() else kept_instances(instances, keep)
+
+
+def kept_instances(instances: Instances, keep: np.ndarray) -> Instances:
+    """Those of `instances` that are among `keep`, bool, shape [n]."""
     names = (field.name for field in dataclasses.fields(Instances))
     columns: dict[str, Any] = {name: _kept(getattr(instances, name), keep) for name in names}
     return Instances(**columns)

@@ -83,7 +83,7 @@ class StrandMeshes:
         if index is not None:
             seen = self._seen.setdefault(key, set())
             new = [each for each in asked if each not in seen]
-            added = source.attributes(new)
+            added = source.attributes(new, obj.name, self._warnings)
             self._report_lacking(obj, new, added)
             mesh = self._meshes[index]
             self._meshes[index] = replace(mesh, attributes=(*mesh.attributes, *added))

@@ -14,8 +14,9 @@ import numpy as np
 from ...core.scene.description import Attribute, Mesh
 from ...core.scene.notice import Notice, Weight
 from ..images.color_spaces import linear_colors
-from ..meshes.attributes import ATTRIBUTE_TYPES
+from ..meshes.attributes import ATTRIBUTE_TYPES, finite_values
 from ..meshes.mesh_arrays import read
+from ..meshes.meshes import point_velocity
 from .kept_strands import mesh_of
 from .strands import CurveShape, CutStrands, Strands, hair_attribute, random_numbers, sound_strands, without_radius
 
@@ -28,9 +29,13 @@ STRAND_KIND = "CURVE"
 class _Source(ABC):
     """A data-block whose segments have attributes."""
 
-    def attributes(self, asked: Iterable[tuple[str, str]]) -> list[Attribute]:
-        """Attributes of kind and name `asked`, as far as it has them."""
-        return [found for kind, name in asked if (found := self._attribute(kind, name)) is not None]
+    def attributes(self, asked: Iterable[tuple[str, str]], user: str, warnings: list[str]) -> list[Attribute]:
+        """Attributes of kind and name `asked`, as far as it has them; `warnings` counts what is not finite of them and
+        names the object `user`.
+        """
+        found = [each for kind, name in asked if (each := self._attribute(kind, name)) is not None]
+        where = f"object “{user}”: {{}} of attribute “%s” of its strands or points"
+        return [replace(each, values=finite_values(each.values, where % each.name, user, warnings)) for each in found]
 
     @abstractmethod
     def _attribute(self, kind: str, name: str) -> Attribute | None: ...
@@ -80,10 +85,12 @@ class CurvesSource(_Source):
             return None
         return _moved(self._cut, read(obj.data.position_data, "vector", np.float32, count, 3))
 
-    def velocity(self) -> np.ndarray | None:
-        """Velocity of the vertices [m/s], float32, shape [vertex_count, 3]; None without the attribute “velocity”."""
-        values = _stored(self._curves, "velocity", self._given)
-        if values is None or values.shape[1] != 3 or not np.isfinite(values).all():
+    def velocity(self, warnings: list[str]) -> np.ndarray | None:
+        """Velocity of the vertices [m/s], float32, shape [vertex_count, 3]; None without the attribute “velocity”, and
+        where `warnings` says what is wrong with it.
+        """
+        values = point_velocity(self._curves, self._given, self._user, warnings)
+        if values is None:
             return None
         points, kept = self._cut.strands.points, self._cut.strands.kept
         return self._cut.moved(points + (values if kept is None else values[kept])) - self._cut.moved(points)
@@ -126,7 +133,7 @@ class CurvesSource(_Source):
         if values is None:
             return None
         of = self._cut.of_points if attribute.domain == "POINT" else self._cut.of_given_strands
-        return Attribute(kind, name, np.ascontiguousarray(np.nan_to_num(of(values)), np.float32))
+        return Attribute(kind, name, of(values))
 
 
 class ParticleHair(_Source):
@@ -156,7 +163,7 @@ class ParticleHair(_Source):
         points, _ = _paths(obj, modifier.particle_system, self._viewport)
         return _moved(self._cut, points) if len(points) == self._given else None
 
-    def velocity(self) -> None:
+    def velocity(self, warnings: list[str]) -> None:
         """Particle hair has none."""
 
     def exported(self, uvs_asked: bool, warnings: list[str]) -> Mesh | None:
@@ -217,7 +224,7 @@ class ParticleHair(_Source):
         values = self._emitter_colors(name)
         if values is None and kind == "GEOMETRY":
             values = self._emitter_uvs(name)
-        return None if values is None else Attribute(kind, name, np.nan_to_num(self._cut.of_strands(values)))
+        return None if values is None else Attribute(kind, name, self._cut.of_strands(values))
 
 
 class PointsSource(_Source):
@@ -240,12 +247,10 @@ class PointsSource(_Source):
         points = read(obj.data.points, "co", np.float32, count, 3)[self._kept]
         return points if np.isfinite(points).all() else None
 
-    def velocity(self) -> np.ndarray | None:
+    def velocity(self, warnings: list[str]) -> np.ndarray | None:
         """See `CurvesSource.velocity`."""
-        values = _stored(self._cloud, "velocity", len(self._kept))
-        if values is None or values.shape[1] != 3 or not np.isfinite(values).all():
-            return None
-        return values[self._kept]
+        values = point_velocity(self._cloud, len(self._kept), self._user, warnings)
+        return None if values is None else values[self._kept]
 
     def exported(self, uvs_asked: bool, warnings: list[str]) -> Mesh | None:
         """The mesh of the points; None where there are none."""
@@ -270,7 +275,7 @@ class PointsSource(_Source):
         found = None if attribute is None or kind == "TANGENT" else _values(attribute)
         if found is None:
             return None
-        return Attribute(kind, name, np.ascontiguousarray(np.nan_to_num(found[self._kept]), np.float32))
+        return Attribute(kind, name, found[self._kept])
 
     def _random(self) -> np.ndarray:
         return random_numbers(np.flatnonzero(self._kept))[:, None]

@@ -16,6 +16,7 @@ import bpy
 import numpy as np
 
 from ...core.scene.description import Attribute
+from ...core.scene.notice import Notice, Weight
 from .mesh_arrays import MeshArrays, read
 from .mesh_shape import pointiness, random_per_island
 from .tangents import corner_tangents
@@ -51,15 +52,24 @@ def mesh_attributes(
             what = lacking_attribute(kind, name)
             warnings.append(f"object “{user}”: its mesh “{mesh.name}” has no {what}, which its material asks for")
             continue
-        values = np.ascontiguousarray(values, np.float32)
-        if not np.isfinite(values).all():
-            warnings.append(
-                f"object “{user}”: attribute “{name}” of its mesh “{mesh.name}” has values that are not finite; they "
-                "are 0"
-            )
-            values = np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0)
+        where = f"object “{user}”: {{}} of attribute “{name}” of its mesh “{mesh.name}”"
+        values = finite_values(values, where, user, warnings)
         found.append(Attribute(kind, name, values))
     return found
+
+
+def finite_values(values: np.ndarray, where: str, user: str, warnings: list[str]) -> np.ndarray:
+    """`values` as float32, with 0 in place of those that are not finite.
+
+    `warnings` counts these in the place of {} in `where`, and names the object `user`.
+    """
+    values = np.ascontiguousarray(values, np.float32)
+    finite = np.isfinite(values)
+    if finite.all():
+        return values
+    text = where.format(f"{values.size - np.count_nonzero(finite):,} numbers") + " are not finite; they are 0"
+    warnings.append(Notice(text, Weight.REPAIRED, objects=[user]))
+    return np.where(finite, values, np.float32(0))
 
 
 def lacking_attribute(kind: str, name: str) -> str:

@@ -61,16 +61,40 @@ def export_mesh(mesh: bpy.types.Mesh, name: str, warnings: list[str]) -> Mesh | 
     )
 
 
-def mesh_velocity(mesh: bpy.types.Mesh, exported: Mesh) -> np.ndarray | None:
-    """The attribute “velocity” of the vertices of `exported` [m/s], shape [vertex_count, 3]; None: there is none."""
-    attribute = mesh.attributes.get("velocity")
-    if attribute is None or attribute.domain != "POINT" or attribute.data_type != "FLOAT_VECTOR":
+def mesh_velocity(mesh: bpy.types.Mesh, exported: Mesh, name: str, warnings: list[str]) -> np.ndarray | None:
+    """The attribute “velocity” of the vertices of `exported` [m/s], shape [vertex_count, 3]; None: there is none, or
+    `warnings` says what is wrong with that of the object `name`.
+    """
+    values = point_velocity(mesh, len(mesh.vertices), name, warnings)
+    if values is None:
         return None
-    values = read(attribute.data, "vector", np.float32, len(mesh.vertices), 3)
     mesh.calc_loop_triangles()
     triangles = read(mesh.loop_triangles, "vertices", np.int32, len(mesh.loop_triangles), 3)
     values, _ = used_vertices(values, triangles)
-    return values if len(values) == len(exported.positions) and np.isfinite(values).all() else None
+    return values if len(values) == len(exported.positions) else None
+
+
+def point_velocity(owner: bpy.types.ID, count: int, name: str, warnings: list[str]) -> np.ndarray | None:
+    """The attribute “velocity” of the `count` points of `owner`, float32, shape [count, 3]; None as in
+    `mesh_velocity`.
+    """
+    attribute = owner.attributes.get("velocity")
+    if attribute is None:
+        return None
+    values, fault = None, ""
+    if attribute.domain != "POINT":
+        fault = f"is of the domain {attribute.domain}, not of points"
+    elif attribute.data_type != "FLOAT_VECTOR":
+        fault = f"is of the type {attribute.data_type}, no vector"
+    elif len(attribute.data) == count:
+        values = read(attribute.data, "vector", np.float32, count, 3)
+        bad = count - int(np.isfinite(values).all(axis=1).sum())
+        fault = f"has {bad:,} values that are not finite" if bad else ""
+    if fault:
+        text = f"object “{name}”: the attribute “velocity” {fault}; nothing moves by it"
+        warnings.append(Notice(text, Weight.REPAIRED, objects=[name]))
+        return None
+    return values
 
 
 def slot_count(mesh: bpy.types.Mesh) -> int:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from array import array
+from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -21,6 +23,10 @@ if TYPE_CHECKING:
 
 # A matrix composed in float32 from a few products has elements wrong by about this much, relatively
 _MATRIX_ERROR = 8 * 2.0**-24
+# Why what has no inverse is left out
+FLATTENED = (
+    "it is flattened to nothing (its matrix is singular); give it, and what it is parented to, a scale that is not 0"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,9 +70,10 @@ class Placements:
     # instance, index and value of attributes
     of_instancer: list[tuple[int, int, tuple[float, ...]]] = field(default_factory=list)
 
-    def instances(self, with_info: bool = False) -> Instances:
+    def instances(self, with_info: bool = False, moves: bool = False) -> Instances:
         """The placements whose matrix can be used; the others are named in `warnings`. `with_info`: with values of
-        their objects (`Instances.info`) whether programs read them or not.
+        their objects (`Instances.info`) whether programs read them or not. `moves`: what is flat now may be so for a
+        moment, and is among them.
         """
         count = len(self.templates)
         if count == 0:
@@ -76,20 +83,14 @@ class Placements:
         usable = np.ones(count, bool)
         finite = np.isfinite(transform).all(axis=(1, 2))
         singular = finite & is_singular(np.where(finite[:, None, None], transform, 0))
+        if moves:
+            singular &= np.array([each.steps == 0 for each in self.motion], bool)
         for bad, reason in (
             (~finite, "its matrix is not finite; reset its location, rotation and scale"),
-            (
-                singular,
-                "it is flattened to nothing (its matrix is singular); give it, and what it is parented to, a scale "
-                "that is not 0",
-            ),
+            (singular, FLATTENED),
         ):
             usable &= ~bad
-            for index, times in zip(*np.unique(table[bad, 3], return_counts=True)):
-                how_often = f" ({times:,} instances)" if times > 1 else ""
-                name = self.object_names[index]
-                text = f"object “{name}”{how_often} is left out: {reason}"
-                self.warnings.append(Notice(text, Weight.REPAIRED, objects=[name]))
+            self.warnings += left_out_objects([self.object_names[index] for index in table[bad, 3].tolist()], reason)
         self.usable = usable
         mesh, slot_first, visibility, owner = np.ascontiguousarray(table[usable].T)
         programs = [p for m in self.materials.materials for p in (m.program, m.displacement) if p is not None]
@@ -138,6 +139,16 @@ class Placements:
         for i, index, value in self.of_instancer:
             values[i, index] = value
         return values[usable]
+
+
+def left_out_objects(names: Iterable[str], reason: str) -> list[Notice]:
+    """That objects are left out: `names` of all their instances."""
+    notices = []
+    for name, times in sorted(Counter(names).items()):
+        how_often = f" ({times:,} instances)" if times > 1 else ""
+        text = f"object “{name}”{how_often} is left out: {reason}"
+        notices.append(Notice(text, Weight.REPAIRED, objects=[name]))
+    return notices
 
 
 def row_bytes(matrix: mathutils.Matrix) -> bytes:

@@ -83,7 +83,10 @@ def smoke_grids(obj: bpy.types.Object, names: list[str], frame: int, label: str,
         values = flat.reshape(*shape[::-1], width).transpose(2, 1, 0, 3)
         if width == 4:
             values = _straight(values)
-        values = np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0)
+        finite = np.isfinite(values)
+        if not finite.all():
+            warnings.append(not_finite(label, name, values.size - np.count_nonzero(finite)))
+            values = np.where(finite, values, np.float32(0))
         if not values.any():
             continue
         if not (np.isfinite([center, half]).all() and (half > 0).all()):
@@ -99,6 +102,11 @@ def smoke_grids(obj: bpy.types.Object, names: list[str], frame: int, label: str,
             "domain again, or choose a frame of the cache"
         )
     return found
+
+
+def not_finite(label: str, name: str, count: int) -> Notice:
+    """That `count` numbers of the grid `name` of what is called `label` are not finite."""
+    return Notice(f"{label}: {count:,} numbers of its grid “{name}” are not finite; they are 0", Weight.REPAIRED)
 
 
 def _is_clear(domain: bpy.types.FluidDomainSettings, frame: int) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import itertools
 import math
 import os
@@ -15,7 +16,8 @@ from ...core.scene.description import Grid, Mesh
 from ...core.scene.frozen import freeze
 from ...core.scene.notice import Notice, Weight
 from ...core.shading.volumes.grids import CUBE_CORNERS, TILE, cut_into_tiles
-from .smoke import smoke_grids
+from ...core.shading.volumes.vdb_header import header_is_whole
+from .smoke import not_finite, smoke_grids
 
 # Most values of the tiles of a grid that hold any: more do not fit a computer's memory
 _VALUES_MOST = 1 << 29
@@ -77,6 +79,9 @@ def _read(obj: bpy.types.Object, names: list[str], label: str, warnings: list[st
     """Name and OpenVDB grid of those of `names` that the volume object `obj` has."""
     volume = obj.data
     is_made = len(obj.modifiers) > 0 or not (volume.filepath or volume.packed_file)
+    if not is_made and not volume.grids.is_loaded and not _has_header(volume):
+        warnings.append(f"{label}: its file “{volume.filepath}” is cut off in its header; it is left out")
+        return
     if not is_made and not volume.grids.is_loaded and not volume.grids.load():
         why = volume.grids.error_message or "why is not known"
         warnings.append(f"{label}: its file “{volume.filepath}” cannot be read ({why}); it is left out")
@@ -113,6 +118,19 @@ def _read(obj: bpy.types.Object, names: list[str], label: str, warnings: list[st
                     f"{label}: its grid “{name}” cannot be read from “{path}” ({' '.join(str(error).split())}); it "
                     "counts as missing"
                 )
+
+
+def _has_header(volume: bpy.types.Volume) -> bool:
+    """Whether the header of its file is whole; True where the file cannot be opened, of which Blender says more."""
+    if volume.packed_file is not None:
+        data = volume.packed_file.data
+        return header_is_whole(io.BytesIO(data), len(data))
+    path = volume.grids.frame_filepath or bpy.path.abspath(volume.filepath, library=volume.library)
+    try:
+        with open(path, "rb") as file:
+            return header_is_whole(file, os.path.getsize(path))
+    except OSError:
+        return True
 
 
 def _is_coarser(grid: bpy.types.VolumeGrid, read) -> bool:
@@ -158,20 +176,23 @@ def _grid(name: str, read, label: str, warnings: list[str]) -> tuple[Grid, np.nd
         warnings.append(Notice(text, Weight.REPAIRED))
         return None
     inverse = np.linalg.inv(to_object[:, :3])
-    corners, values = found
+    corners, values, lost = found
+    if lost:
+        warnings.append(not_finite(label, name, lost))
     grid = Grid(name, freeze(values), np.column_stack([inverse, -inverse @ origin]), freeze(corners))
     return grid, _box(grid, first - begin, last - begin)
 
 
-def _tiles(read, first: np.ndarray, last: np.ndarray, begin: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Where tiles of the OpenVDB grid `read` begin, from `begin` on, and their values, as in `Grid`; None where there
-    are too many. `first`, `last`: of its active voxels.
+def _tiles(read, first: np.ndarray, last: np.ndarray, begin: np.ndarray) -> tuple[np.ndarray, np.ndarray, int] | None:
+    """Where tiles of the OpenVDB grid `read` begin, from `begin` on, and their values, as in `Grid`; and how many
+    numbers are 0 there as float32 has them not. None where there are too many. `first`, `last`: of its active voxels.
     """
     width = (3,) if read.valueTypeName.startswith("vec3") else ()
     if read.activeVoxelCount() * max(3 * len(width), 1) > _VALUES_MOST:
         return None
     stored = np.float64 if read.valueTypeName in ("double", "vec3d") else np.float32
     corners, tiles, count = [np.zeros((0, 3), np.int32)], [np.zeros((0, TILE, TILE, TILE, *width), np.float32)], 0
+    lost = 0
     for block in _blocks(read, first, last, begin):
         low = begin + np.array(block) * _BLOCK
         # what lies beyond the active voxels is empty, whatever the grid says of it
@@ -182,14 +203,19 @@ def _tiles(read, first: np.ndarray, last: np.ndarray, begin: np.ndarray) -> tupl
             continue
         whole = np.zeros((_BLOCK,) * 3 + width, np.float32)
         part = tuple(slice(a, b) for a, b in zip((start - low).tolist(), (end - low + 1).tolist()))
-        whole[part] = np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0)
+        with np.errstate(over="ignore"):  # numbers of float64 that float32 has not
+            whole[part] = values
+        finite = np.isfinite(whole)
+        if not finite.all():
+            lost += whole.size - np.count_nonzero(finite)
+            whole[~finite] = 0
         corner, cut = cut_into_tiles(whole)
         corners.append((corner + low - begin).astype(np.int32))
         tiles.append(cut)
         count += cut.size
         if count > _VALUES_MOST:
             return None
-    return np.concatenate(corners), np.concatenate(tiles)
+    return np.concatenate(corners), np.concatenate(tiles), lost
 
 
 def _blocks(read, first: np.ndarray, last: np.ndarray, begin: np.ndarray) -> Iterable[tuple[int, int, int]]:

@@ -73,10 +73,11 @@ class PlacedMotions:
             is_mesh = isinstance(obj.data, bpy.types.Mesh) and strands is None
             hair = isinstance(obj.data, bpy.types.Mesh) and strands is not None
             velocity = None
-            if strands is not None and _moves_vertices(obj, parent):
-                velocity = strands.velocity()
+            if _moves_vertices(obj, parent):
+                if strands is not None:
+                    velocity = strands.velocity(made.warnings)
+                elif is_mesh:
+                    velocity = mesh_velocity(obj.data, made.meshes[mesh], obj.name, made.warnings)
             deforms = (is_mesh or strands is not None) and (velocity is not None or may_deform(obj, parent, hair))
-            if deforms and is_mesh:
-                velocity = mesh_velocity(obj.data, made.meshes[mesh])
             self._known[place] = object_steps(obj, parent), deforms and velocity is None, velocity
         return PlacedMotion(placed_key(placed, obj), mesh, *self._known[place], item)

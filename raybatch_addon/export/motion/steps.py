@@ -12,9 +12,11 @@ import numpy as np
 
 from ...core.scene.description import Camera, InstanceMaps, Instances, Mesh
 from ...core.scene.motion import maps_at, motion_keys
+from ...core.scene.notice import Notice, Weight
+from ...core.scene.validate import kept_instances
 from ..meshes.mesh_arrays import read
 from ..meshes.meshes import used_vertices
-from ..meshes.placements import Placements
+from ..meshes.placements import FLATTENED, Placements, is_singular, left_out_objects
 from .objects import object_steps
 from .placed import placed_key
 from .shutter import Exposure
@@ -47,6 +49,7 @@ class MotionSteps:
         self._first.append(len(placements.motion))
         self._positions: dict[int, list[tuple[np.ndarray, np.ndarray | None] | None]] = {}
         self._cameras: list[CameraPlace] = []
+        self.warnings: list[str] = []  # of what does not move as it should
 
     def collect(
         self, depsgraph: bpy.types.Depsgraph, camera_now: Callable[[], CameraPlace], cancelled: Callable[[], bool]
@@ -144,9 +147,23 @@ class MotionSteps:
         )
 
     def instances(self, instances: Instances) -> Instances:
-        """`instances`, which move as they did. What is not there all the time stands still."""
+        """`instances`, which move as they did. What is not there all the time stands still, and so does what has no
+        place at some time, which is named; what is flat all the time is left out.
+        """
         if self.count == 0 or len(instances) == 0:
             return instances
+        moving = self._moving(instances)
+        regular = ~is_singular(instances.transform)
+        if moving.motion is not None:
+            maps = moving.motion.maps
+            regular[moving.motion.instance] |= ~is_singular(maps.reshape(-1, 3, 4)).reshape(maps.shape[:2]).all(1)
+        if regular.all():
+            return moving
+        names = self._placements.object_names
+        self.warnings += left_out_objects([names[index] for index in instances.object[~regular].tolist()], FLATTENED)
+        return kept_instances(moving, regular)
+
+    def _moving(self, instances: Instances) -> Instances:
         usable = self._placements.usable
         assert usable is not None  # since the instances were made
         which = np.unique(np.concatenate([indices for indices, _ in self._elsewhere]))
@@ -157,6 +174,7 @@ class MotionSteps:
             maps[np.searchsorted(which, indices[known]), step] = there[known]
         maps = maps.reshape(-1, self.count, 4, 4)[:, :, :3]
         finite = np.isfinite(maps).all((1, 2, 3))
+        self._name_lost(which[~finite])
         which, maps = which[finite], np.ascontiguousarray(maps[finite])
         if not len(which):
             return instances
@@ -166,6 +184,13 @@ class MotionSteps:
             maps[some] = _with_steps(maps[some], count)
         number = np.cumsum(usable) - 1
         return replace(instances, motion=InstanceMaps(number[which].astype(np.int32), maps))
+
+    def _name_lost(self, placements: np.ndarray) -> None:
+        """Name the objects of `placements`, which have no place at some time."""
+        names = [self._placements.object_names[self._placements.templates[i].object] for i in placements.tolist()]
+        for name in dict.fromkeys(names):
+            text = f"object “{name}”: its matrix is not finite at some time while the shutter is open; it stands still"
+            self.warnings.append(Notice(text, Weight.REPAIRED, objects=[name]))
 
     def meshes(self) -> list[Mesh]:
         """All meshes, with vertices that move as they did."""

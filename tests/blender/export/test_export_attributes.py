@@ -44,10 +44,12 @@ def test_a_missing_attribute_is_named():
 def test_values_that_are_no_numbers_become_0_and_are_reported():
     mesh = square_mesh()
     values = mesh.attributes.new("a", "FLOAT_VECTOR", "POINT")
-    values.data.foreach_set("vector", np.full(12, np.nan, np.float32))
+    values.data.foreach_set("vector", np.float32([np.nan, 1, np.inf] + [2] * 9))
     warnings: list[str] = []
     (found,) = mesh_attributes(mesh, [("GEOMETRY", "a")], "Object", warnings)
-    assert not found.values.any() and "not finite" in warnings[0]
+    assert set(found.values.ravel().tolist()) == {0, 1, 2}
+    # the first vertex is a corner of both triangles
+    assert "“a”" in warnings[0] and "4 numbers" in warnings[0] and warnings[0].objects == ("Object",)
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from raybatch_addon.core.scene.description import ClosureKind as K
+from raybatch_addon.core.scene.notice import Weight
 from raybatch_addon.export.materials import export_material
 from raybatch_addon.export.nodes.registry import Handled, shader_nodes
 from tests.support.blender_builders import add_object, add_triangle, exported, material_of, node_tree
@@ -189,6 +190,18 @@ def test_what_is_approximated_is_named():
         assert weights(made) == {K.SUBSURFACE: np.array(RED[:3])} and K.DIFFUSE in made.kinds
         assert len(notes) == approximated
     assert "random walk" in notes[0] and "Subsurface Scattering" in notes[0]
+
+
+@pytest.mark.parametrize("sampling, said", [("FRONT", 1), ("BACK", 1), ("FRONT_BACK", 0), ("AUTO", 0), ("NONE", 0)])
+def test_sampling_of_one_side_of_what_emits_is_named(sampling, said):
+    material, tree, surface = new_material()
+    material.cycles.emission_sampling = sampling
+    diffuse, emission = add_node(tree, "ShaderNodeBsdfDiffuse"), add_node(tree, "ShaderNodeEmission")
+    tree.links.new(diffuse.outputs[0], surface)
+    assert export_material(material)[1] == []
+    tree.links.new(emission.outputs[0], surface)
+    notes = export_material(material)[1]
+    assert len(notes) == said and all(each.weight == Weight.SETTING and each.remedy for each in notes)
 
 
 def test_subsurface_takes_its_share_of_the_base():

@@ -148,3 +148,56 @@ def test_what_is_not_there_all_the_time_stands_still(blurred):
     got = rendered_scene()
     (moving,) = got.instances.motion.instance
     assert got.object_names[got.instances.object[moving]] == "Stays" and len(got.instances) == 2
+
+
+def test_what_is_flat_in_the_middle_of_its_motion_is_there(blurred):
+    """A plate that is mirrored in the course of the frame; and one that is flat all the time is named."""
+    keyed(add_grid("Mirrored", 1), "scale", (1, 1, 1), (1, 1, -1))
+    flat = add_grid("Flat", 1)
+    flat.scale.z = 0
+    keyed(flat, "location", (0, 0, 0), (1, 0, 0))
+    got = rendered_scene()
+    assert [got.object_names[i] for i in got.instances.object] == ["Mirrored"]
+    assert got.instances.transform[0, 2, 2] == 0 and len(got.instances.motion.maps) == 1
+    assert np.allclose(got.instances.motion.maps[0][[0, -1], 2, 2], (0.6875, -0.6875))
+    said = [text for text in got.warnings if "flattened" in text]
+    assert len(said) == 1 and said[0].objects == ("Flat",)
+
+
+def test_an_object_without_a_place_at_one_time_is_named(blurred):
+    lost = add_grid("Lost", 1)
+    lost.parent = add_object("Above", None)
+    for obj in (lost, lost.parent):  # the product of both scales is no number of float32
+        obj.driver_add("scale", 0).driver.expression = f"1.0 if frame <= {FRAME} else 1e30"
+    got = rendered_scene()
+    assert got.instances.motion is None
+    said = [text for text in got.warnings if "not finite" in text]
+    assert len(said) == 1 and said[0].objects == ("Lost",)
+
+
+@pytest.mark.parametrize("is_hair", [False, True])
+@pytest.mark.parametrize(
+    "kind, elsewhere, values, word",
+    [
+        ("FLOAT_VECTOR", False, [1.0, 0.0, 0.0], ""),
+        ("FLOAT_VECTOR", True, [1.0, 0.0, 0.0], "domain"),
+        ("FLOAT_COLOR", False, [1.0, 0.0, 0.0, 0.0], "FLOAT_COLOR"),
+        ("FLOAT_VECTOR", False, [np.nan, 0.0, 0.0], "4 values"),
+    ],
+)
+def test_velocities_that_move_nothing_are_named(blurred, is_hair, kind, elsewhere, values, word):
+    if is_hair:
+        data = bpy.data.hair_curves.new("Moved")
+        data.add_curves([2, 2])
+        data.position_data.foreach_set("vector", np.float32([0, 0, 0, 0, 0, 1, 1, 0, 0, 1, 0, 1]))
+        add_object("Moved", data)
+    else:
+        data = add_grid("Moved", 1).data
+    velocity = data.attributes.new("velocity", kind, ("CURVE" if is_hair else "FACE") if elsewhere else "POINT")
+    name = "color" if kind == "FLOAT_COLOR" else "vector"
+    velocity.data.foreach_set(name, np.float32(values * len(velocity.data)))
+    got = rendered_scene()
+    said = [text for text in got.warnings if "velocity" in text]
+    assert (got.meshes[0].motion is None) == bool(word) == bool(said)
+    if word:
+        assert len(said) == 1 and word in said[0] and said[0].objects == ("Moved",)

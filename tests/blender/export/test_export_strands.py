@@ -7,7 +7,7 @@ import pytest
 from raybatch_addon.export.curves import sources
 from raybatch_addon.export.curves.strands import CurveShape, CutStrands, hair_attribute, sound_strands
 from raybatch_addon.export.scene import export_scene
-from tests.support.blender_builders import add_grid, add_object
+from tests.support.blender_builders import add_grid, add_object, material_of, node_tree
 
 
 def add_camera() -> None:
@@ -233,3 +233,17 @@ def test_particle_hair_has_colors_and_maps_of_its_emitter():
     assert values["Tint"] == pytest.approx(np.tile([0.5, 0.25, 0.75, 1], (len(hair.triangles), 1)), abs=0.01)
     assert values["Second"] == pytest.approx(hair.corner_uvs[:, 0] + 10, abs=1e-4) and np.ptp(values["Second"]) > 0.1
     assert not [line for line in scene.warnings if "Ground" in line]
+
+
+def test_values_of_strands_that_are_no_numbers_become_0_and_are_counted():
+    hair = add_curves([(0, 0, 0), (0, 0, 1), (1, 0, 0), (1, 0, 1)], [2, 2])
+    hair.data.attributes.new("odd", "FLOAT", "CURVE").data.foreach_set("value", np.float32([np.inf, 3.0]))
+    tree, surface = node_tree(material_of(hair))
+    read = tree.nodes.new("ShaderNodeAttribute")
+    read.attribute_name = "odd"
+    tree.links.new(read.outputs["Color"], surface)
+    got = exported()
+    (attribute,) = got.meshes[0].attributes
+    assert set(attribute.values.ravel().tolist()) == {0, 3}
+    (said,) = [text for text in got.warnings if "not finite" in text]
+    assert "“odd”" in said and "“Hair”" in said and said.objects == ("Hair",)

@@ -1,5 +1,6 @@
 """Volume objects: grids as the file has them, and files that cannot be read."""
 
+import io
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,10 +9,11 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from raybatch_addon.core.scene.notice import Weight
+from raybatch_addon.core.shading.volumes.vdb_header import header_is_whole
 from raybatch_addon.export.meshes import volumes
 from raybatch_addon.export.meshes.smoke import any_grids
 from raybatch_addon.export.meshes.volumes import export_volume
-from tests.support.blender_builders import add_object
+from tests.support.blender_builders import add_object, exported, material_of, node_tree
 
 
 def _openvdb():
@@ -67,11 +69,13 @@ def test_a_grid_has_the_values_and_the_place_of_its_file(scene, grid_file):
 
 def test_what_cannot_be_read_is_said_by_name(scene, grid_file, tmp_path):
     path, _ = grid_file
-    cut = tmp_path / "cut.vdb"
-    cut.write_bytes(path.read_bytes()[:200])
+    whole = path.read_bytes()
+    cut = {size: tmp_path / f"cut {size}.vdb" for size in (50, 200, 210, len(whole) // 3, len(whole) // 2)}
+    for size, file in cut.items():  # in the header, in what describes a grid, and in its leaves
+        file.write_bytes(whole[:size])
     for source, names, word in (
         (tmp_path / "missing.vdb", ["density"], "missing.vdb"),
-        (cut, ["density"], "cut.vdb"),
+        *((file, ["density"], file.name) for file in cut.values()),
         (path, ["number"], "int32"),
         (path, ["heat"], "“heat”"),
     ):
@@ -80,6 +84,27 @@ def test_what_cannot_be_read_is_said_by_name(scene, grid_file, tmp_path):
         assert export_volume(obj, names, 1, warnings) is None
         assert warnings[0].weight == Weight.MISSING and warnings[0].objects == (obj.name,)
         assert len(warnings) == 1 and "Smoke" in warnings[0] and word in warnings[0], (source, warnings)
+
+
+def test_a_good_grid_beside_one_of_an_unknown_type_or_one_that_is_cut_off_is_read(scene, grid_file, tmp_path):
+    path, values = grid_file
+    cut = tmp_path / "cut.vdb"
+    cut.write_bytes(path.read_bytes()[:-400])
+    for source, word in ((path, "int32"), (cut, "cut.vdb")):
+        warnings = []
+        mesh = export_volume(_volume(source), ["density", "number"], 1, warnings)
+        assert [grid.name for grid in mesh.grids] == ["density"], source
+        assert np.count_nonzero(mesh.grids[0].values) == values.size
+        assert len(warnings) == 1 and "“number”" in warnings[0] and word in warnings[0]
+        assert warnings[0].weight == Weight.MISSING
+
+
+def test_only_files_whose_header_is_cut_off_are_refused_by_it(grid_file):
+    whole = grid_file[0].read_bytes()
+    accepted = [header_is_whole(io.BytesIO(whole[:size]), size) for size in range(len(whole) + 1)]
+    first = accepted.index(True)  # behind the description of the first grid
+    assert accepted[-1] and 300 < first < 1000 and all(accepted[first : len(whole) // 3])
+    assert header_is_whole(io.BytesIO(b"no such file" * 9), 108)
 
 
 def test_grids_that_are_nearly_empty_are_read_where_there_is_something(scene, tmp_path):
@@ -188,6 +213,10 @@ def test_smoke_has_its_grids_in_the_box_of_its_domain(scene, tmp_path):
     to_index = by_name["density"].to_index
     # the middle of the first cell, which is 1 m long, wide and high
     assert np.allclose(to_index[:, :3] @ (-0.5, -1.0, -0.5) + to_index[:, 3], 0)
+    domain.density_grid[0] = np.inf
+    odd = export_volume(obj, ["density"], 1, warnings).grids[0]
+    density[0, 0, 0] = 0
+    assert np.array_equal(odd.values, density) and len(warnings) == 1 and "1 numbers" in warnings.pop()
     domain.density_grid = _Stored(np.zeros(24, np.float32))
     assert export_volume(obj, ["density"], 1, warnings) is None
     assert len(warnings) == 1 and "Smoke" in warnings[0] and "cache" in warnings[0]
@@ -228,3 +257,34 @@ def test_simplify_makes_voxels_larger(scene, tmp_path):
         means.append(grid.values[grid.values > 0].mean())
     np.testing.assert_allclose(steps, [1, 2, 4])
     np.testing.assert_allclose(means, means[0], rtol=0.05)
+
+
+def test_volumes_of_more_meshes_than_a_ray_notices_are_named_before_a_render(scene):
+    for k in range(6):
+        bpy.ops.mesh.primitive_cube_add(size=2.0 - 0.1 * k)
+        tree, surface = node_tree(material_of(bpy.context.object))
+        volume = tree.nodes.new("ShaderNodeVolumeScatter")
+        tree.links.new(volume.outputs[0], surface.node.inputs["Volume"])
+        said = [each for each in exported().warnings if "overlap" in each]
+        assert len(said) == (k > 3), said
+    assert len(said[0].objects) == 6 and "“Cube.005”" in said[0] and said[0].weight == Weight.MISSING
+
+
+@pytest.mark.parametrize("kind", ["FloatGrid", "DoubleGrid"])
+def test_voxels_that_are_no_numbers_become_0_and_are_counted(scene, tmp_path, kind):
+    """Numbers of float64 that float32 has not are none of it either."""
+    openvdb = _openvdb()
+    if not hasattr(openvdb, kind):
+        pytest.skip(f"this module has no {kind}")
+    values = np.ones((4, 4, 4), np.float32 if kind == "FloatGrid" else np.float64)
+    values[0, 0, 1:3] = (np.inf, -np.inf if kind == "FloatGrid" else 1e300)
+    grid = getattr(openvdb, kind)()
+    grid.name = "density"
+    grid.copyFromArray(values)
+    grid.getAccessor().setValueOn((0, 0, 0), np.nan)
+    openvdb.write(str(tmp_path / "odd.vdb"), [grid])
+    warnings = []
+    (found,) = export_volume(_volume(tmp_path / "odd.vdb"), ["density"], 1, warnings).grids
+    assert found.values.sum() == 61 and len(warnings) == 1
+    assert "“density”" in warnings[0] and "3 numbers" in warnings[0]
+    assert warnings[0].weight == Weight.REPAIRED and warnings[0].objects[0].startswith("Smoke")

@@ -94,7 +94,7 @@ def three_planes(*, moving=(1, 2), lost=None):
     transform = made.instances.transform.copy()
     if lost is not None:
         transform[lost, :, :3] = 0
-    maps = np.repeat(made.instances.transform[list(moving), None].astype(np.float32), 3, 1)
+    maps = np.repeat(transform[list(moving), None].astype(np.float32), 3, 1)
     maps[..., 0, 3] += np.float32([0, 1, 2]) + 10 * np.float32(moving)[:, None]
     motion = InstanceMaps(np.array(moving, np.int32), maps)
     return dataclasses.replace(
@@ -113,7 +113,8 @@ def test_instances_whose_motion_is_not_finite_stand_still_and_others_move():
     scene = three_planes()
     scene.instances.motion.maps[0, 1, 0, 3] = np.nan
     checked = checked_scene(scene)
-    assert checked.instances.motion.instance.tolist() == [2] and "1 objects" in checked.warnings[-1]
+    assert checked.instances.motion.instance.tolist() == [2] and "“object 1”" in checked.warnings[-1]
+    assert checked.warnings[-1].objects == ("object 1",)
     assert moving_instances(checked).tolist() == [False, False, True]
 
 
@@ -125,6 +126,26 @@ def test_maps_of_other_instances_than_there_are_move_nothing(which, maps):
     motion = InstanceMaps(np.array(which, np.int32), np.zeros(maps, np.float32))
     checked = checked_scene(dataclasses.replace(scene, instances=dataclasses.replace(scene.instances, motion=motion)))
     assert checked.instances.motion is None and "do not belong" in checked.warnings[-1].replace("does", "do")
+
+
+def test_what_is_flat_for_a_moment_is_rendered_and_has_an_inverse():
+    """Where an instance has none in the middle it is placed as at the nearest step that has one; one that is flat all
+    the time is left out.
+    """
+    maps = np.repeat(np.array(scenes.IDENTITY)[None, None], 5, 1).repeat(3, 0)
+    maps[:, :, 2, 2] = (1, 0.5, 0, -0.5, -1)
+    maps[1, :, 2, 2] = 0
+    maps[2, 1, 2, 2] = 0
+    scene = three_planes()
+    instances = dataclasses.replace(scene.instances, transform=maps[:, 2].copy(), motion=instance_maps(maps))
+    checked = checked_scene(dataclasses.replace(scene, instances=instances))
+    assert np.array_equal(checked.instances.transform, np.stack([maps[0, 1], maps[2, 3]]))
+    assert np.array_equal(checked.instances.motion.maps, maps[[0, 2]])
+    assert len(checked.warnings) == 1 and "flat" in checked.warnings[0]
+    # without a message the scene is another one too
+    whole = dataclasses.replace(instances, transform=maps[:1, 2].repeat(3, 0), motion=instance_maps(maps[[0, 0, 0]]))
+    checked = checked_scene(dataclasses.replace(scene, instances=whole))
+    assert not checked.warnings and (checked.instances.transform == maps[0, 1]).all()
 
 
 def test_what_moves_alone_has_keys():

@@ -1,8 +1,8 @@
 """Hair BSDF: a lobe that reflects and one that passes light, each a cone around the fibre.
 
 Both spread along the fibre by a Cauchy distribution of the half angle between wo and wi; around it the one that
-reflects has a cosine's half wave about wo, the one that passes a Cauchy distribution about the other side. Their
-albedo is 1 but for what falls on the wrong side of the surface. Values contain the cosine, and are densities.
+reflects has a cosine's half wave about wo, the one that passes a Cauchy distribution about the other side. To which
+side of the surface they go does not matter, as in Cycles. Values contain the cosine, and are densities.
 
 Fields of the record: `roughness` and `aspect`, widths along the fibre and around it [rad]; `film_ior` shift of the half
 angle [rad].
@@ -47,8 +47,6 @@ def hair_lobe_value(
     closures: wp.array(dtype=ClosureRecord), c: int, frame: ShadingFrame, wo: wp.vec3, wi: wp.vec3, passes: bool
 ) -> float:
     """f |cos| and density towards wi, which are the same."""
-    if (wp.dot(frame.geometric_normal, wi) < 0.0) != passes:
-        return 0.0
     f = fibre_frame(closures[c].tangent, frame, wo)
     theta_o = wp.asin(f.sin_o)
     theta_i = wp.asin(wp.clamp(wp.dot(wi, f.along), -1.0, 1.0))

@@ -201,7 +201,7 @@ class UploadedEnclosures:
 
 
 @dataclass(frozen=True)
-class _Bounded:
+class BoundedPart:
     """One volume of one instance, before it is uploaded."""
 
     instance: int
@@ -217,7 +217,7 @@ def upload_enclosures(
 
     `volume_of`: volume of each material, -1: none. `geometry`: that of `scene`.
     """
-    slots = _VolumeSlots(scene, volume_of)
+    slots = VolumeSlots(scene, volume_of)
     bounded = [each for instance in range(len(scene.instances)) for each in slots.of_instance(instance)]
     data = Enclosures()
     data.of = wp.zeros(0, dtype=Enclosure, device=device)
@@ -264,7 +264,7 @@ def upload_enclosures(
     return UploadedEnclosures(data, [whole, *(tree for tree, _ in trees.values())])
 
 
-class _VolumeSlots:
+class VolumeSlots:
     """Which triangles of meshes bound which volumes."""
 
     def __init__(self, scene: Scene, volume_of: np.ndarray):
@@ -285,7 +285,7 @@ class _VolumeSlots:
         first = int(self._scene.instances.slot_first[instance])
         return self._volume_of[self._scene.slot_materials[first : first + self._slot_counts[index]]]
 
-    def of_instance(self, instance: int) -> list[_Bounded]:
+    def of_instance(self, instance: int) -> list[BoundedPart]:
         """The volumes of an instance that some triangle bounds."""
         mesh = self._mesh(instance)
         if len(mesh.triangles) == 0 or mesh.radii is not None:
@@ -294,11 +294,11 @@ class _VolumeSlots:
         if (volumes < 0).all():
             return []
         used = volumes if mesh.triangle_slot is None else volumes[np.unique(mesh.triangle_slot)]
-        box = self._placed(instance, fact(mesh.positions, _box_corners))
-        return [_Bounded(instance, v, bool(self._moves[instance]), box) for v in sorted(set(used.tolist()) - {-1})]
+        box = self._placed(instance, fact(mesh.positions, box_corners))
+        return [BoundedPart(instance, v, bool(self._moves[instance]), box) for v in sorted(set(used.tolist()) - {-1})]
 
-    def exact_box(self, each: _Bounded) -> np.ndarray:
-        """The smallest box of an instance, as in `_Bounded`."""
+    def exact_box(self, each: BoundedPart) -> np.ndarray:
+        """The smallest box of an instance, as in `BoundedPart`."""
         if each.instance not in self._boxes:
             self._boxes[each.instance] = self._placed(each.instance, self._mesh(each.instance).positions)
         return self._boxes[each.instance]
@@ -309,11 +309,11 @@ class _VolumeSlots:
         placed = positions @ transform[:, :3].T + transform[:, 3]
         return np.stack([placed.min(0), placed.max(0)])
 
-    def key(self, each: _Bounded) -> tuple:
+    def key(self, each: BoundedPart) -> tuple:
         """Equal for parts of instances that are the same triangles of one mesh."""
         return int(self._scene.instances.mesh[each.instance]), (self._volumes(each.instance) == each.volume).tobytes()
 
-    def triangles(self, each: _Bounded) -> np.ndarray:
+    def triangles(self, each: BoundedPart) -> np.ndarray:
         """Primitives of the mesh that bound a volume, int32."""
         mesh = self._mesh(each.instance)
         if mesh.triangle_slot is None:
@@ -321,7 +321,7 @@ class _VolumeSlots:
         of_triangle = self._volumes(each.instance)[mesh.triangle_slot]
         return np.flatnonzero(of_triangle == each.volume).astype(np.int32)
 
-    def triangle_boxes(self, each: _Bounded, primitives: np.ndarray, baked: bool) -> tuple[np.ndarray, np.ndarray]:
+    def triangle_boxes(self, each: BoundedPart, primitives: np.ndarray, baked: bool) -> tuple[np.ndarray, np.ndarray]:
         """Least and greatest corners of triangles, in the world where they are `baked`: float32, shape [n, 3]."""
         mesh = self._mesh(each.instance)
         steps = [mesh.positions] if mesh.motion is None else list(mesh.motion)
@@ -331,7 +331,7 @@ class _VolumeSlots:
             corners = corners @ transform[:, :3].T + transform[:, 3]
         return _rounded(corners.min(1), 0), _rounded(corners.max(1), 1)
 
-    def meets_itself(self, each: _Bounded) -> bool:
+    def meets_itself(self, each: BoundedPart) -> bool:
         """Whether some vertices of a mesh lie in one place, as where parts of it stand side by side."""
         index = int(self._scene.instances.mesh[each.instance])
         if index not in self._meets:
@@ -339,7 +339,7 @@ class _VolumeSlots:
         return self._meets[index]
 
 
-def _box_corners(positions: np.ndarray) -> np.ndarray:
+def box_corners(positions: np.ndarray) -> np.ndarray:
     """Corners of the box of `positions`, float64, shape [8, 3]."""
     low, high = positions.min(0).astype(np.float64), positions.max(0).astype(np.float64)
     return np.array(list(itertools.product(*zip(low, high))))

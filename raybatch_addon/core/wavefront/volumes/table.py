@@ -8,9 +8,8 @@ from ...programs.op import NodeData
 from ...scene.geometry import mat34
 from ...shading.bsdf.materials import ClosureRecord
 from ...shading.volumes.enclosures import Enclosures
+from ...shading.volumes.overlaps import INSIDE_MOST
 
-# Volumes of meshes that a ray is in at once; those that it enters beyond them are not noticed
-INSIDE_MOST = 4
 # In place of what is inside, for paths of scenes with shadow catchers: there is no volume, not even the world's
 IN_VACUUM = -1
 # How a path met the surface where its ray ended: `MediaState.side`

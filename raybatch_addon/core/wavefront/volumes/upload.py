@@ -20,6 +20,7 @@ from ...shading.bsdf.materials import ClosureRecord, fill_record
 from ...shading.images.textures import ImageTable
 from ...shading.lights.emitters import EmissiveCells
 from ...shading.volumes.enclosures import upload_enclosures
+from ...shading.volumes.overlaps import crowded_volumes, volume_numbers
 from ..scene.unchanged import Last, bounds_key
 from .bounds import RAYS, FoundBounds, bounded_volumes, find_bounds, goes_on_beyond
 from .emission.cells import FoundCells, find_cells, has_owners
@@ -86,8 +87,7 @@ def upload_volumes(
     data.bounce_max = 0
     if len(scene.instances) * len(volumes) >= 2**31 - 1:
         raise SceneError(f"{len(scene.instances):,} instances with {len(volumes):,} volumes are too many to number")
-    has_volume = np.array([material.volume is not None for material in scene.materials], bool)
-    volume_of = np.where(has_volume, np.cumsum(has_volume) - 1, -1).astype(np.int32)
+    volume_of = volume_numbers(scene)
     data.volume_of = wp.array(volume_of, dtype=int, device=device)
     is_boundary = [_is_boundary(material) for material in scene.materials]
     data.is_boundary = wp.array(np.array(is_boundary, np.int32), dtype=int, device=device)
@@ -120,6 +120,7 @@ def upload_volumes(
     ops, asked = features.volume_program.ops, narrow(shading, VolumeFeatures)
     key = bounds_key(scene, volume_of, ops, device.alias) if data.varies or features.volume_lights else ([], ())
     warnings = _bound(data, scene, asked, volume_of, device, ops=ops, key=key, kept=cache.bounds)
+    warnings += [each for each in crowded_volumes(scene) if each not in scene.warnings]
     if ClosureKind.RAY_PORTAL in features.closures:
         warnings.append("Ray Portal: a ray that comes out of one is in the volumes of the place where it went in")
     cells = None

@@ -169,3 +169,81 @@ def elliptical_facets(scene: bpy.types.Scene) -> None:
     _light(scene, "RIBBONS")
     values = {"Melanin": 0.4, "Roughness": 0.3, "Aspect Ratio": 0.7}
     material_graph(tuft(radius=0.05), _huang(parametrization="MELANIN", **values))
+
+
+def _hair_bsdf(component: str, **values):
+    return lambda graph: graph.value("ShaderNodeBsdfHair", values, component=component)
+
+
+@feature("Hair BSDF: reflection", "Curves", "picture")
+def hair_reflection(scene: bpy.types.Scene) -> None:
+    _light(scene)
+    values = {"Color": (0.8, 0.5, 0.2, 1.0), "Offset": 0.1, "RoughnessU": 0.3, "RoughnessV": 0.4}
+    material_graph(tuft(), _hair_bsdf("Reflection", **values))
+
+
+@feature("Hair BSDF: transmission", "Curves", "picture")
+def hair_transmission(scene: bpy.types.Scene) -> None:
+    _light(scene)
+    values = {"Color": (0.8, 0.5, 0.2, 1.0), "Offset": -0.1, "RoughnessU": 0.4, "RoughnessV": 0.7}
+    material_graph(tuft(), _hair_bsdf("Transmission", **values))
+
+
+def _of_strand(output: str, factor: float):
+    """A colour by one output of Curves Info."""
+
+    def build(graph: Graph):
+        value = graph.value("ShaderNodeHairInfo", output=output)
+        color = graph.vector_math("MULTIPLY", value, (factor,) * 3)
+        return graph.value("ShaderNodeBsdfDiffuse", {"Color": color})
+
+    return build
+
+
+@feature("Curves Info: length", "Curves", "picture")
+def strand_length(scene: bpy.types.Scene) -> None:
+    """Of curves at half of their size: the length is that before."""
+    _light(scene)
+    curves = tuft()
+    curves.scale = (0.5, 0.5, 0.5)
+    material_graph(curves, _of_strand("Length", 0.4))
+
+
+@feature("Curves Info: thickness", "Curves", "picture")
+def strand_thickness(scene: bpy.types.Scene) -> None:
+    """Of curves at half of their size."""
+    _light(scene)
+    curves = tuft(radius=0.08)
+    curves.scale = (0.5, 0.5, 0.5)
+    material_graph(curves, _of_strand("Thickness", 6.0))
+
+
+@feature("Curves Info: tangent normal", "Curves", "picture")
+def strand_tangent_normal(scene: bpy.types.Scene) -> None:
+    _light(scene)
+    material_graph(tuft(), _of_strand("Tangent Normal", 0.9))
+
+
+@feature("Point Info", "Curves", "picture")
+def point_info(scene: bpy.types.Scene) -> None:
+    """Of points at twice their size."""
+    _light(scene)
+    rng = np.random.default_rng(6)
+    cloud = bpy.data.pointclouds.new("Points")
+    cloud.resize(60)
+    positions = rng.uniform((-0.5, -0.5, 0.1), (0.5, 0.5, 0.8), (60, 3)).astype(np.float32)
+    cloud.attributes["position"].data.foreach_set("vector", positions.ravel())
+    radii = cloud.attributes.get("radius") or cloud.attributes.new("radius", "FLOAT", "POINT")
+    radii.data.foreach_set("value", rng.uniform(0.02, 0.08, 60).astype(np.float32))
+
+    def build(graph: Graph):
+        node = graph.node("ShaderNodePointInfo", {})
+        size = graph.math("MULTIPLY", node.outputs["Radius"], 5.0)
+        place = graph.vector_math("MULTIPLY", node.outputs["Position"], (0.2, 0.2, 0.2))
+        both = graph.vector_math("ADD", place, graph.value("ShaderNodeCombineXYZ", {"X": size}))
+        color = graph.vector_math("ADD", both, graph.value("ShaderNodeCombineXYZ", {"Y": node.outputs["Random"]}))
+        return graph.value("ShaderNodeBsdfDiffuse", {"Color": graph.vector_math("ABSOLUTE", color)})
+
+    points = add_object("Points", cloud)
+    points.scale = (2, 2, 2)
+    material_graph(points, build)

@@ -226,6 +226,35 @@ def grid_object(scene: bpy.types.Scene) -> None:
     volume_of(obj, lambda graph: graph.value("ShaderNodeVolumePrincipled", values))
 
 
+@feature("Volume Info", "Volumes", "picture")
+def volume_info(scene: bpy.types.Scene) -> None:
+    """Density and temperature of an OpenVDB object; a colour and flames it has not."""
+    _stage(scene, None)
+    data = bpy.data.volumes.new("Grids")
+    data.filepath = _grid_file(tempfile.mkdtemp())
+    obj = add_object("Grids", data)
+    obj.location, obj.scale = (0, 0, 1), (0.9, 0.9, 0.7)
+
+    def build(graph: Graph):
+        info = graph.node("ShaderNodeVolumeInfo", {})
+        emission = graph.value("ShaderNodeCombineXYZ", {"X": graph.math("MULTIPLY", info.outputs["Temperature"], 0.3)})
+        values = {
+            "Density": info.outputs["Density"],
+            "Color": graph.vector_math("ADD", info.outputs["Color"], (0.7, 0.8, 0.5)),
+            "Emission Strength": graph.math("ADD", info.outputs["Flame"], 1.0),
+            "Emission Color": emission,
+        }
+        return graph.value("ShaderNodeVolumePrincipled", values)
+
+    volume_of(obj, build)
+
+
+@feature("Bounces: 1 volume", "Volumes", "picture")
+def one_bounce(scene: bpy.types.Scene) -> None:
+    _stage(scene, _scatter("HENYEY_GREENSTEIN", Density=4.0))
+    scene.cycles.volume_bounces = scene.raybatch.volume_bounce_max = 1
+
+
 @feature("Volume made by geometry nodes", "Volumes", "picture")
 def made_by_nodes(scene: bpy.types.Scene) -> None:
     _stage(scene, None)

@@ -102,15 +102,21 @@ def test_a_fibre_that_absorbs_all_only_reflects_on_its_surface():
     assert set(bits[bits != 0]) == {GLOSSY}
 
 
-def test_lobes_stay_on_their_sides():
-    wo = toward(VIEWS[0])
-    for name, bit, side in (("reflects", GLOSSY, 1), ("passes", TRANSMISSION, -1)):
-        direction, weight, _, bits = sample(CASES[name], wo, 4000, frame_of(), FEATURES)
-        lit = weight.max(1) > 0
-        assert lit.any() and set(bits[lit]) == {bit}
-        assert (direction[lit] @ np.asarray(UP) * side >= 0).all()
-        # where nothing falls on the other side the albedo is 1
-        assert weight[lit] == pytest.approx(1, abs=1e-3)
+def test_lobes_stay_on_their_sides_of_the_fibre_whatever_the_surface():
+    """They lose nothing, also where they go through the surface."""
+    along = np.asarray(TANGENT, float)
+    for view in (VIEWS[0], (0.8, -0.6, 0.05)):
+        wo = toward(view)
+        across = np.asarray(wo, float) - np.dot(wo, along) * along
+        through = False
+        for name, bit, side in (("reflects", GLOSSY, 1), ("passes", TRANSMISSION, -1)):
+            direction, weight, _, bits = sample(CASES[name], wo, 4000, frame_of(), FEATURES)
+            assert set(bits) == {bit}
+            assert (direction @ across * side > -1e-5).all()
+            ends = np.abs(direction @ along) > 1 - 1e-5  # there nothing is scattered
+            assert weight[~ends] == pytest.approx(1, abs=1e-3) and ends.mean() < 0.01
+            through |= bool((direction @ np.asarray(UP) * side < -0.1).any())
+        assert through
 
 
 @pytest.mark.parametrize("wo", [TANGENT, (-0.6, -0.8, 0.0), (0.6, 0.8, 1e-7)])
