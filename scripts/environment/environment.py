@@ -3,7 +3,7 @@
 Run by the Python that the environment is for (`environment.sh` finds it). A stamp in the folder holds what was
 installed; while it matches, nothing is installed again. Another stamp stands for the kernels that any scene can begin
 with, and holds the code that they are of; a process of its own compiles them and writes it when they are there. Where
-it is missing, they are compiled in the background after two minutes (`wait`), or from the start (`start`), as where it
+it is missing, they are compiled in the background after a minute (`wait`), or from the start (`start`), as where it
 is of other code; `later` leaves them to a later call.
 """
 
@@ -29,7 +29,7 @@ except ImportError:  # Windows
 ROOT = Path(__file__).resolve().parents[2]
 PROGRESS = re.compile(r"compiled (\d+) of \d+ modules")  # a line of `render.py --prewarm`
 MODULES_A_LINE = 10
-WAIT_SECONDS = 120.0  # for kernels, before they are left to the background: a picture that comes sooner waits for them
+WAIT_SECONDS = 60.0  # for kernels, before they are left to the background: those of usual scenes are there by then
 TICK_SECONDS = 0.1
 NICENESS = 10  # renders, tests and checks come first
 KERNELS = ("wait", "later", "start")  # the first where nothing is said

@@ -73,16 +73,21 @@ class GeneralRequest:
     """
 
     def kernels(self, device: wp.Device) -> list[wp.Kernel]:
-        """All kernels that any scene can begin with, those behind the others that few renders ask for."""
-        found = [*general_kernels(device), *tree_kernels(device), add_integers_kernel]
+        """All kernels that any scene can begin with, in the order of how many renders ask for them on a CPU, and on a
+        GPU those first that take longest to compile.
+        """
+        general = general_features(device)
+        first, volumes, estimates = general_kernels(device)
+        plain = _plain_scenes(plain_features(general))
+        scenes = [dataclasses.replace(each, adaptive=True) for each in (*plain, *_wide_scenes(general))]  # both ways
+        found = [first, volumes] if device.is_cuda else []
+        found += [estimates, *tree_kernels(device), add_integers_kernel]
         if device.is_cpu:
             # those of boxes refit trees for the frame behind the first one
             found += [join_boxes_kernel, write_boxes_kernel, *SKY_KERNELS]
-        general = general_features(device)
-        plain = _plain_scenes(plain_features(general))
-        for features in (*plain, *_wide_scenes(general)):
-            features = dataclasses.replace(features, adaptive=True)  # the kernels of both ways to sample
-            found += CompileRequest(features, RenderSettings(), TracingPlan(Method.UNBATCHED), general).kernels(device)
+            scenes.sort(key=lambda each: (each.volumes, each.curves or each.moving))
+        for each in scenes:
+            found += CompileRequest(each, RenderSettings(), TracingPlan(Method.UNBATCHED), general).kernels(device)
         if device.is_cpu:
             for features, settings, method in _rare_tracing(plain):
                 tracing = Tracing.of(TracingPlan(method), layout_for(device), features)
