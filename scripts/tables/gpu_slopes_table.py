@@ -60,12 +60,16 @@ def _listed_name(report: dict[str, Any]) -> str:
     return report["scene"]
 
 
-def tables(data: list[dict[str, Any]]) -> str:
-    """The table of files that have surfaces alone, and that of files that ask for more, by the list of real files."""
+def by_features(data: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Files that have surfaces alone, and files that ask for more, by the list of real files."""
     asking = {name_of(entry) for entry in read_listing(LISTING) if entry.get("asks")}
-    plain = table([each for each in data if each["scene"] not in asking])
-    more = [each for each in data if each["scene"] in asking]
-    return f"{plain}\n\n{MORE}\n\n{table(more)}" if more else plain
+    return [each for each in data if each["scene"] not in asking], [each for each in data if each["scene"] in asking]
+
+
+def tables(data: list[dict[str, Any]]) -> str:
+    """The table of files that have surfaces alone, and that of files that ask for more."""
+    plain, more = by_features(data)
+    return f"{table(plain)}\n\n{MORE}\n\n{table(more)}" if more else table(plain)
 
 
 def table(data: list[dict[str, Any]]) -> str:

@@ -39,12 +39,13 @@ def table(runs: list[dict[str, Any]], reports: list[dict[str, Any]]) -> str:
         ratios = {name: [each[what] for what in COLUMNS] for name, each in run["files"].items() if each["same"]}
         lines.append(_line(f"two cores, {equal_error_table.asked(run['request'])}", ratios))
     differing = known_to_differ()
-    same = [each for each in reports if each["scene"] not in differing]
     names = (gpu_slopes_table.VARIANCE, gpu_slopes_table.SLOPE, gpu_slopes_table.EQUAL)
-    ratios = {each["scene"]: [[each[name]] for name in names] for each in same}
-    first, counts = same[0], same[0]["sample_counts"]
-    device = first["device"]["name"].removeprefix("NVIDIA ")
-    lines.append(_line(f"{device}, from {counts[0]} to {counts[1]} samples", ratios))
+    groups = gpu_slopes_table.by_features([each for each in reports if each["scene"] not in differing])
+    for what, same in zip(("surfaces alone", "volumes, hair, motion blur"), groups, strict=True):
+        if same:
+            device = same[0]["device"]["name"].removeprefix("NVIDIA ")
+            ratios = {each["scene"]: [[each[name]] for name in names] for each in same}
+            lines.append(_line(f"{device}, a sample, {what}", ratios))
     return "\n".join(lines)
 
 

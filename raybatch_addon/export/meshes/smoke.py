@@ -85,7 +85,7 @@ def smoke_grids(obj: bpy.types.Object, names: list[str], frame: int, label: str,
             values = _straight(values)
         finite = np.isfinite(values)
         if not finite.all():
-            warnings.append(not_finite(label, name, values.size - np.count_nonzero(finite)))
+            warnings.append(not_finite(label, name, int(np.count_nonzero(~finite))))
             values = np.where(finite, values, np.float32(0))
         if not values.any():
             continue

@@ -207,7 +207,7 @@ def _tiles(read, first: np.ndarray, last: np.ndarray, begin: np.ndarray) -> tupl
             whole[part] = values
         finite = np.isfinite(whole)
         if not finite.all():
-            lost += whole.size - np.count_nonzero(finite)
+            lost += int(np.count_nonzero(~finite))
             whole[~finite] = 0
         corner, cut = cut_into_tiles(whole)
         corners.append((corner + low - begin).astype(np.int32))

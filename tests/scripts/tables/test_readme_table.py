@@ -30,5 +30,5 @@ def test_files_that_differ_do_not_count_and_the_worst_is_named():
     rows = readme_table.table(runs, [report, {**differing, "equal_error_raybatch_over_cycles": 7.0}]).splitlines()[2:]
     assert rows == [
         "| two cores, 32 samples | 1.25 | 2.00 | 4.88 | 12.00 (two) | 2 |",
-        "| X, from 4 to 16 samples | 0.50 | 0.25 | 0.12 | 0.12 (c) | 1 |",
+        "| X, a sample, surfaces alone | 0.50 | 0.25 | 0.12 | 0.12 (c) | 1 |",
     ]
