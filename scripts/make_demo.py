@@ -14,6 +14,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import bpy
 from lib.lights_scene import add_scene
+from lib.node_trees import with_nodes
 from lib.output import leave
 from mathutils import Vector
 
@@ -26,8 +27,7 @@ SAMPLE_COUNT = 32
 
 def principled(name, color, roughness, metallic=0.0, ior=1.5):
     """A material of one Principled BSDF."""
-    material = bpy.data.materials.new(name)
-    material.use_nodes = True
+    material = with_nodes(bpy.data.materials.new(name))
     inputs = material.node_tree.nodes["Principled BSDF"].inputs
     inputs["Base Color"].default_value = (*color, 1.0)
     inputs["Roughness"].default_value = roughness
@@ -38,8 +38,7 @@ def principled(name, color, roughness, metallic=0.0, ior=1.5):
 
 def node_material(name, *shaders, mix=0.5):
     """A material of one shader node, or of two and a Mix node; a shader is (node type, {input: value})."""
-    material = bpy.data.materials.new(name)
-    material.use_nodes = True
+    material = with_nodes(bpy.data.materials.new(name))
     tree = material.node_tree
     tree.nodes.remove(tree.nodes["Principled BSDF"])
     made = []
@@ -213,8 +212,7 @@ def add_light_and_camera():
         light.rotation_euler = (Vector((0, 0, 1.0)) - light.location).to_track_quat("-Z", "Y").to_euler()
         scene.collection.objects.link(light)
 
-    world = bpy.data.worlds.new("Dusk")
-    world.use_nodes = True
+    world = with_nodes(bpy.data.worlds.new("Dusk"))
     background = world.node_tree.nodes["Background"]
     background.inputs["Color"].default_value = (0.16, 0.24, 0.46, 1)
     background.inputs["Strength"].default_value = 0.45

@@ -22,6 +22,7 @@ from mathutils import Matrix, Vector
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from lib.command import UsageError, exit_code
+from lib.node_trees import with_nodes
 
 ERRORS = (UsageError, OSError)
 
@@ -49,8 +50,7 @@ def mesh_object(path: Path, up: str, drop: list[int], flat: bool) -> bpy.types.O
     if flat:
         mesh.shade_flat()
     mesh.update()
-    material = bpy.data.materials.new("white")
-    material.use_nodes = True
+    material = with_nodes(bpy.data.materials.new("white"))
     tree = material.node_tree
     tree.nodes.clear()
     diffuse, output = tree.nodes.new("ShaderNodeBsdfDiffuse"), tree.nodes.new("ShaderNodeOutputMaterial")
@@ -81,8 +81,7 @@ def under_the_sky(scene: bpy.types.Scene, given: argparse.Namespace) -> None:
     sun.data.energy, sun.data.angle = given.sun, math.radians(1)
     sun.rotation_euler = (math.radians(15), math.radians(20), 0)
     scene.collection.objects.link(sun)
-    scene.world = bpy.data.worlds.new("World")
-    scene.world.use_nodes = True
+    scene.world = with_nodes(bpy.data.worlds.new("World"))
     background = scene.world.node_tree.nodes["Background"]
     background.inputs["Color"].default_value = (1, 1, 1, 1)
     background.inputs["Strength"].default_value = given.world

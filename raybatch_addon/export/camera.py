@@ -18,6 +18,11 @@ from .view import View
 _FSTOP_MIN = 1e-5
 
 
+def no_camera(scene: str) -> str:
+    """What the user is told where the scene of this name has no camera."""
+    return f"scene “{scene}” has no camera; add one (Add > Camera) and make it the scene's active camera"
+
+
 def export_camera(
     scene: bpy.types.Scene,
     depsgraph: bpy.types.Depsgraph,
@@ -33,9 +38,7 @@ def export_camera(
     """
     active = view.camera(scene)
     if active is None:
-        raise SceneError(
-            f"scene “{scene.name}” has no camera; add one (Add > Camera) and make it the scene's active camera"
-        )
+        raise SceneError(no_camera(scene.name))
     obj = active.evaluated_get(depsgraph)
     if obj.type != "CAMERA":
         kind = obj.type.lower()

@@ -222,7 +222,11 @@ def watch(process: subprocess.Popen, log: Path, seconds: float) -> None:
     if process.poll() is None:
         so_far = f"{reached}; the rest" if reached else "they"
         verb = "is" if reached else "are"
-        print(f"RayBatch: {so_far} {verb} compiled in the background, which writes to {log}", file=sys.stderr)
+        print(
+            f"RayBatch: {so_far} {verb} compiled in the background, which writes to {log}; until they are there the "
+            "first render of a file may compile its own, for up to a minute",
+            file=sys.stderr,
+        )
     elif code := process.returncode:  # renders compile what they need
         print(f"RayBatch: they could not be compiled: {said[-300:] or f'it ended with code {code}'}", file=sys.stderr)
 

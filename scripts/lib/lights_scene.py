@@ -10,6 +10,8 @@ import math
 import bpy
 from mathutils import Vector
 
+from lib.node_trees import with_nodes
+
 
 def add_surfaces() -> None:
     """Floor, wall, and the two balls."""
@@ -37,8 +39,7 @@ def add_surfaces() -> None:
 
 
 def _principled(name: str, values: dict) -> bpy.types.Material:
-    material = bpy.data.materials.new(name)
-    material.use_nodes = True
+    material = with_nodes(bpy.data.materials.new(name))
     inputs = material.node_tree.nodes["Principled BSDF"].inputs
     for socket, value in values.items():
         inputs[socket].default_value = value
@@ -47,8 +48,7 @@ def _principled(name: str, values: dict) -> bpy.types.Material:
 
 def picture() -> bpy.types.Material:
     """A chequered material that glows."""
-    material = bpy.data.materials.new("Picture")
-    material.use_nodes = True
+    material = with_nodes(bpy.data.materials.new("Picture"))
     tree = material.node_tree
     tree.nodes.remove(tree.nodes["Principled BSDF"])
     emission, checker = tree.nodes.new("ShaderNodeEmission"), tree.nodes.new("ShaderNodeTexChecker")
@@ -76,8 +76,7 @@ def add_lights() -> None:
         lamp.location = place
         lamp.rotation_euler = (Vector(target) - lamp.location).to_track_quat("-Z", "Y").to_euler()
         scene.collection.objects.link(lamp)
-    world = scene.world = bpy.data.worlds.new("Sky")
-    world.use_nodes = True
+    world = scene.world = with_nodes(bpy.data.worlds.new("Sky"))
     tree = world.node_tree
     background = tree.nodes["Background"]
     background.inputs["Strength"].default_value = 0.05

@@ -200,6 +200,7 @@ def _text(report: dict[str, Any], folder: Path) -> str:
     lines = [counted(report["summary"]), *notes_of_old(report)]
     for name, ratio, interval, worst, worst_of, *_ in summary_rows(report["summary"]):
         compared = f"has {ratio} times that of" if name == VARIANCE else f"takes {ratio} times as long as"
-        lines.append(f"{name}: RayBatch {compared} Cycles ({interval}), at worst {worst} ({worst_of})")
+        spread = f" ({interval}), at worst {worst} ({worst_of})" if len(report["files"]) > 1 else ""
+        lines.append(f"{name}: RayBatch {compared} Cycles{spread}")
     lines.append(f"{folder / 'report.html'}")
     return "\n".join(lines)

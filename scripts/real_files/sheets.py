@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import bpy
 import numpy as np
+from lib.node_trees import with_nodes
 from mathutils import Vector
 
 COLUMNS, ROWS = 4, 3  # balls of a sheet
@@ -119,9 +120,7 @@ def _library(scene: bpy.types.Scene, materials: list[bpy.types.Material]) -> She
     sun = bpy.data.lights.new("Sun of the sheets", "SUN")
     sun.energy, sun.angle = 3.0, 0.2
     _linked(scene, sun).rotation_euler = (math.radians(40), math.radians(-25), 0)
-    scene.world = bpy.data.worlds.new("World of the sheets")
-    if bpy.app.version < (5, 0):
-        scene.world.use_nodes = True
+    scene.world = with_nodes(bpy.data.worlds.new("World of the sheets"))
     background = next(node for node in scene.world.node_tree.nodes if node.type == "BACKGROUND")
     background.inputs["Color"].default_value = (0.4, 0.4, 0.4, 1)
     camera = _camera(scene)
@@ -169,9 +168,7 @@ def _floor(scene: bpy.types.Scene) -> None:
     made = bpy.data.meshes.new("Floor of the sheets")
     edge = 2.0 * COLUMNS * SPACING
     made.from_pydata([(-edge, -edge, -1), (edge, -edge, -1), (edge, edge, -1), (-edge, edge, -1)], [], [(0, 1, 2, 3)])
-    material = bpy.data.materials.new("Floor of the sheets")
-    if bpy.app.version < (5, 0):
-        material.use_nodes = True
+    material = with_nodes(bpy.data.materials.new("Floor of the sheets"))
     tree = material.node_tree
     tree.nodes.clear()
     kinds = ("NewGeometry", "TexChecker", "BsdfDiffuse", "OutputMaterial")

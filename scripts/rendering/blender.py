@@ -20,6 +20,7 @@ from raybatch_addon.core.scene.archive import save_scene
 from raybatch_addon.core.scene.description import Scene
 from raybatch_addon.core.scene.passes import GUIDE_PASSES
 from raybatch_addon.core.settings.settings import RenderSettings
+from raybatch_addon.export.camera import no_camera
 from raybatch_addon.export.passes import (
     LIGHT_PASS_PROPERTIES,
     MATTE_PROPERTIES,
@@ -152,7 +153,7 @@ class BlenderRender:
             self._folders.prepare(path)
         if not request.out:
             _set_format(scene, FORMATS[".bmp"])  # of pictures that nobody keeps
-        with FrameDeliveries(request, files, self._bar, self._films) as deliveries:
+        with FrameDeliveries(request, files, self._bar, self._films, self._stops.asked) as deliveries:
             self._is_failed = lambda: deliveries.failure is not None
             scene.render.filepath = deliveries.output
             try:
@@ -202,7 +203,10 @@ class BlenderRender:
             if self._scene_saved and not self._request.renders:
                 return
             kind = RefusedError if report is not None and report is not before and report.refused else SceneError
-            raise kind(f"{self._bar.label}{reported[0] if reported else _one_line(error)}") from None
+            said = reported[0] if reported else _one_line(error)
+            if not reported and bpy.context.scene.camera is None and "camera" in said:
+                said = no_camera(bpy.context.scene.name)  # Blender looks for one before any engine does
+            raise kind(f"{self._bar.label}{said}") from None
         if (report := reports.last()) is not None and report is not before and report.errors and not self._scene_saved:
             if report.interrupted:
                 raise KeyboardInterrupt

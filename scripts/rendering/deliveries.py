@@ -7,7 +7,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -68,8 +68,15 @@ class FrameDeliveries:
     """
 
     def __init__(
-        self, request: Request, files: Sequence[FrameFiles], bar: ProgressBar, films: list[tuple[str, Film]]
+        self,
+        request: Request,
+        files: Sequence[FrameFiles],
+        bar: ProgressBar,
+        films: list[tuple[str, Film]],
+        is_stopped: Callable[[], bool],
     ) -> None:
+        """`is_stopped`: whether the user has asked for an end; Blender may end a frame without a picture then."""
+        self._is_stopped = is_stopped
         self._request, self._bar, self._films = request, bar, films
         self._by_number = {each.number: each for each in files}
         self._picture = files[0].picture
@@ -117,6 +124,8 @@ class FrameDeliveries:
         """
         with self._keeping_failure():
             files = self._by_number[scene.frame_current]
+            if files.picture is not None and self._workshop.is_empty and self._is_stopped():
+                return
             if files.picture is not None:
                 self._workshop.deliver(files.picture, _NAME)
             else:

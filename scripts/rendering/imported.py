@@ -17,6 +17,7 @@ from lib.geometry_files import (
     sun_axes,
     view_axes,
 )
+from lib.node_trees import with_nodes
 from mathutils import Matrix
 
 from raybatch_addon.core.errors import SceneError
@@ -113,7 +114,6 @@ def _add_light(scene: bpy.types.Scene, view: View) -> None:
     light = bpy.data.objects.new("Sun", data)
     light.matrix_world = _matrix(sun_axes(view, "z"), (0, 0, 0))
     scene.collection.objects.link(light)
-    world = scene.world or bpy.data.worlds.new("World")
-    world.use_nodes = True
+    world = with_nodes(scene.world or bpy.data.worlds.new("World"))
     world.node_tree.nodes["Background"].inputs["Color"].default_value = (*SKY_RADIANCE, 1.0)
     scene.world = world

@@ -29,6 +29,11 @@ class Workshop:
     def __exit__(self, *_) -> None:
         shutil.rmtree(self.folder, ignore_errors=True)
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether Blender wrote nothing."""
+        return not any(self.folder.iterdir())
+
     def deliver(self, place: Path | None, name: str = "") -> None:
         """Move what Blender wrote to its place, where it bears the name of `place`; the views of stereoscopy add theirs
         to it. In the workshop that name is `name` and the frame's number. Without `place` files keep their names.

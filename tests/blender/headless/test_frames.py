@@ -290,6 +290,25 @@ def test_a_stop_between_two_frames_keeps_what_is_finished(blend, tmp_path, monke
     assert len(begun) == 3
 
 
+def test_a_stop_of_a_single_picture_writes_none_and_is_no_error(blend, tmp_path, monkeypatch):
+    from rendering.stops import StopRequests
+
+    begun = []
+    monkeypatch.setattr(StopRequests, "asked", lambda _: bool(begun))
+    monkeypatch.setattr(frame, "begin_frame", lambda _job: begun.append(1))
+    out = tmp_path / "out"
+    done = call_script("render.py", blend, "-o", out / "p.png", "--set", "sample_count=64")
+    assert done.returncode == 130 and done.stderr.endswith("render.py: stopped\n") and "error" not in done.stderr
+    assert begun and not out.exists()
+
+
+def test_a_scene_without_a_camera_is_told_what_it_lacks(blend, tmp_path):
+    bpy.data.objects.remove(bpy.context.scene.camera)
+    bpy.ops.wm.save_as_mainfile(filepath=str(blend))
+    done = call_script("render.py", blend, "-o", tmp_path / "p.png")
+    assert done.returncode == 1 and "has no camera; add one" in done.stderr
+
+
 def test_a_stop_while_the_last_frame_ends_is_no_stop(blend, tmp_path, monkeypatch):
     from rendering.stops import StopRequests
 
