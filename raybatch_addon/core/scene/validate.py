@@ -273,25 +273,31 @@ def _with_regular_places(instances: Instances) -> Instances:
     motion = instances.motion
     if motion is None or not len(motion.instance):
         return instances
-    flat = np.flatnonzero(~is_regular(instances.transform[motion.instance]))
+    flat = np.flatnonzero(~_is_regular(instances.transform[motion.instance]))
     if not len(flat):
         return instances
     steps = motion.maps.shape[1]
     order = np.argsort(np.abs(np.arange(steps) - (steps - 1) / 2), kind="stable")
-    usable = is_regular(motion.maps[flat])[:, order]
+    usable = _is_regular(motion.maps[flat])[:, order]
     some = usable.any(1)
     transform = instances.transform.copy()
     transform[motion.instance[flat[some]]] = motion.maps[flat[some], order[usable[some].argmax(1)]]
     return dataclasses.replace(instances, transform=transform)
 
 
-def is_regular(maps: np.ndarray) -> np.ndarray:
-    """Whether maps [..., 3, 4] are finite and have an inverse in float32: the smallest singular value is not lost in
-    the rounding of the largest. bool, shape [...].
+def _is_regular(maps: np.ndarray) -> np.ndarray:
+    """Whether maps [..., 3, 4] are finite and have an inverse: bool, shape [...]."""
+    finite, _, regular = _sizes(maps)
+    return finite & regular
+
+
+def _sizes(maps: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of maps [..., 3, 4]: whether they are finite, their singular values, float64, the largest first, and whether they
+    have an inverse in float32: the smallest one is not lost in the rounding of the largest.
     """
     finite = np.isfinite(maps).all((-2, -1))
     sizes = np.linalg.svd(np.where(finite[..., None, None], maps[..., :3], 0).astype(np.float64), compute_uv=False)
-    return finite & (sizes[..., 2] > sizes[..., 0] * np.finfo(np.float32).eps)
+    return finite, sizes, sizes[..., 2] > sizes[..., 0] * np.finfo(np.float32).eps
 
 
 def _with_maps(instances: Instances, name: str, maps: InstanceMaps | None) -> Instances:
@@ -333,31 +339,22 @@ def _checked_instances(scene: Scene, warnings: list[str]) -> Instances:
     if len(scene.instances) == 0:
         return scene.instances
     instances = _with_regular_places(_with_usable_maps(scene, warnings))
-    linear = instances.transform[:, :, :3].astype(np.float64)
-    finite = np.isfinite(instances.transform).all((1, 2))
-    linear[~finite] = 0
-    # singular in float32: the smallest singular value is lost in the rounding of the largest
-    singular_values = np.linalg.svd(linear, compute_uv=False)
-    regular = singular_values[:, 2] > singular_values[:, 0] * np.finfo(np.float32).eps
+    finite, scales, regular = _sizes(instances.transform)
     reach, size = (values[instances.mesh] for values in _mesh_extents(scene.meshes))
-    near = (reach * singular_values[:, 0] <= COORDINATE_MAX) & (
-        np.abs(instances.transform).max((1, 2)) <= COORDINATE_MAX
-    )
+    near = (reach * scales[:, 0] <= COORDINATE_MAX) & (np.abs(instances.transform).max((1, 2)) <= COORDINATE_MAX)
     # in the world, and for meshes that stay in object space also there
     shared = np.bincount(instances.mesh)[instances.mesh] > 1
-    extent = size * np.where(shared, np.minimum(singular_values[:, 0], 1), singular_values[:, 0])
+    extent = size * np.where(shared, np.minimum(scales[:, 0], 1), scales[:, 0])
     large = (extent >= EXTENT_MIN) | (size == 0)
     # ... and the scene's reach, seen from object space
     placed = finite & regular & near
     camera = float(np.abs(scene.camera.transform[:, 3]).max())
     scene_reach = max(
         camera,
-        float(
-            (np.abs(instances.transform[placed, :, 3]).max(1) + (reach * singular_values[:, 0])[placed]).max(initial=0)
-        ),
+        float((np.abs(instances.transform[placed, :, 3]).max(1) + (reach * scales[:, 0])[placed]).max(initial=0)),
     )
     with np.errstate(divide="ignore", over="ignore"):
-        within = ~shared | (scene_reach / singular_values[:, 2] <= COORDINATE_MAX)
+        within = ~shared | (scene_reach / scales[:, 2] <= COORDINATE_MAX)
     keep = placed & large & within
     reasons = (
         (finite, "a matrix that is not finite"),

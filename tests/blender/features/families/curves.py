@@ -109,16 +109,21 @@ def particle_hair(scene: bpy.types.Scene) -> None:
     settings.root_radius, settings.tip_radius, settings.radius_scale = 1.0, 0.2, 0.06
 
 
-@feature("Point cloud", "Curves", "picture")
-def points(scene: bpy.types.Scene) -> None:
-    _light(scene)
+def _cloud(corners: tuple, sizes: tuple[float, float]) -> bpy.types.PointCloud:
+    """60 points between these corners of a box, with radii between these sizes [m]."""
     rng = np.random.default_rng(6)
     cloud = bpy.data.pointclouds.new("Points")
     cloud.resize(60)
-    positions = rng.uniform((-1, -1, 0.2), (1, 1, 1.6), (60, 3)).astype(np.float32)
-    cloud.attributes["position"].data.foreach_set("vector", positions.ravel())
+    cloud.attributes["position"].data.foreach_set("vector", rng.uniform(*corners, (60, 3)).astype(np.float32).ravel())
     radii = cloud.attributes.get("radius") or cloud.attributes.new("radius", "FLOAT", "POINT")
-    radii.data.foreach_set("value", rng.uniform(0.03, 0.15, 60).astype(np.float32))
+    radii.data.foreach_set("value", rng.uniform(*sizes, 60).astype(np.float32))
+    return cloud
+
+
+@feature("Point cloud", "Curves", "picture")
+def points(scene: bpy.types.Scene) -> None:
+    _light(scene)
+    cloud = _cloud(((-1, -1, 0.2), (1, 1, 1.6)), (0.03, 0.15))
     material_graph(
         add_object("Points", cloud), lambda graph: graph.value("ShaderNodeBsdfDiffuse", {"Color": (0.8, 0.5, 0.3, 1.0)})
     )
@@ -228,13 +233,7 @@ def strand_tangent_normal(scene: bpy.types.Scene) -> None:
 def point_info(scene: bpy.types.Scene) -> None:
     """Of points at twice their size."""
     _light(scene)
-    rng = np.random.default_rng(6)
-    cloud = bpy.data.pointclouds.new("Points")
-    cloud.resize(60)
-    positions = rng.uniform((-0.5, -0.5, 0.1), (0.5, 0.5, 0.8), (60, 3)).astype(np.float32)
-    cloud.attributes["position"].data.foreach_set("vector", positions.ravel())
-    radii = cloud.attributes.get("radius") or cloud.attributes.new("radius", "FLOAT", "POINT")
-    radii.data.foreach_set("value", rng.uniform(0.02, 0.08, 60).astype(np.float32))
+    cloud = _cloud(((-0.5, -0.5, 0.1), (0.5, 0.5, 0.8)), (0.02, 0.08))
 
     def build(graph: Graph):
         node = graph.node("ShaderNodePointInfo", {})

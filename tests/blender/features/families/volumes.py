@@ -215,13 +215,20 @@ def _grid_file(folder: str) -> str:
     return path
 
 
-@feature("OpenVDB object", "Volumes", "picture")
-def grid_object(scene: bpy.types.Scene) -> None:
+def _grids(scene: bpy.types.Scene) -> bpy.types.Object:
+    """An OpenVDB object on a stage."""
     _stage(scene, None)
     data = bpy.data.volumes.new("Grids")
     data.filepath = _grid_file(tempfile.mkdtemp())
     obj = add_object("Grids", data)
-    obj.location, obj.scale, obj.rotation_euler.z = (0, 0, 1), (0.9, 0.9, 0.7), 0.5
+    obj.location, obj.scale = (0, 0, 1), (0.9, 0.9, 0.7)
+    return obj
+
+
+@feature("OpenVDB object", "Volumes", "picture")
+def grid_object(scene: bpy.types.Scene) -> None:
+    obj = _grids(scene)
+    obj.rotation_euler.z = 0.5
     values = {"Color": (0.8, 0.5, 0.3), "Anisotropy": 0.2, "Blackbody Intensity": 0.001, "Temperature": 2000.0}
     volume_of(obj, lambda graph: graph.value("ShaderNodeVolumePrincipled", values))
 
@@ -229,11 +236,7 @@ def grid_object(scene: bpy.types.Scene) -> None:
 @feature("Volume Info", "Volumes", "picture")
 def volume_info(scene: bpy.types.Scene) -> None:
     """Density and temperature of an OpenVDB object; a colour and flames it has not."""
-    _stage(scene, None)
-    data = bpy.data.volumes.new("Grids")
-    data.filepath = _grid_file(tempfile.mkdtemp())
-    obj = add_object("Grids", data)
-    obj.location, obj.scale = (0, 0, 1), (0.9, 0.9, 0.7)
+    obj = _grids(scene)
 
     def build(graph: Graph):
         info = graph.node("ShaderNodeVolumeInfo", {})
