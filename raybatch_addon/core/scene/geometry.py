@@ -63,6 +63,16 @@ def transform_vector(m: mat34, d: wp.vec3) -> wp.vec3:
 
 
 @wp.func
+def image_reach(m: mat34, reach: wp.vec3) -> wp.vec3:
+    """Half the extent along each axis of the image under `m` of a box whose half extent is `reach`."""
+    return wp.vec3(
+        wp.abs(m[0, 0]) * reach[0] + wp.abs(m[0, 1]) * reach[1] + wp.abs(m[0, 2]) * reach[2],
+        wp.abs(m[1, 0]) * reach[0] + wp.abs(m[1, 1]) * reach[1] + wp.abs(m[1, 2]) * reach[2],
+        wp.abs(m[2, 0]) * reach[0] + wp.abs(m[2, 1]) * reach[1] + wp.abs(m[2, 2]) * reach[2],
+    )
+
+
+@wp.func
 def corners_of(geometry: Geometry, triangle: int) -> wp.vec3i:
     """Indices in `positions` of the corners of `triangle`."""
     if geometry.triangles.shape[0] == 0:

@@ -9,7 +9,7 @@ import warp as wp
 
 from ..bvh.margin import TRIANGLE_TEST
 from ..float32 import UNIT_ROUNDOFF, roundoff
-from ..scene.geometry import Geometry, corners_of, mat34, transform_vector
+from ..scene.geometry import Geometry, corners_of, image_reach, mat34, transform_vector
 from ..scene.moved import normals_at, positions_at, transform_at
 
 _GAMMA_3, _GAMMA_8 = roundoff(3), roundoff(8)
@@ -74,15 +74,6 @@ def _offset(m: mat34) -> wp.vec3:
 
 
 @wp.func
-def _row_abs(m: mat34, v: wp.vec3) -> wp.vec3:
-    return wp.vec3(
-        wp.abs(m[0, 0]) * v[0] + wp.abs(m[0, 1]) * v[1] + wp.abs(m[0, 2]) * v[2],
-        wp.abs(m[1, 0]) * v[0] + wp.abs(m[1, 1]) * v[1] + wp.abs(m[1, 2]) * v[2],
-        wp.abs(m[2, 0]) * v[0] + wp.abs(m[2, 1]) * v[1] + wp.abs(m[2, 2]) * v[2],
-    )
-
-
-@wp.func
 def _cofactor(m: mat34, n: wp.vec3) -> wp.vec3:
     """Normal `n` under `m`, by the cofactor matrix, signed so that the front of mirrored objects stays the front."""
     r0 = wp.vec3(m[0, 0], m[0, 1], m[0, 2])
@@ -122,7 +113,7 @@ def material_at(geometry: Geometry, instance: int, primitive: int) -> int:
 @wp.func
 def carried_error(m: mat34, position: wp.vec3, error: wp.vec3) -> wp.vec3:
     """Bound of the error of `position`, known to `error`, when `m` carries it to the world, and a ray back."""
-    return _row_abs(m, error) + wp.static(2.0 * _GAMMA_8) * (_row_abs(m, _abs(position)) + _abs(_offset(m)))
+    return image_reach(m, error) + wp.static(2.0 * _GAMMA_8) * (image_reach(m, _abs(position)) + _abs(_offset(m)))
 
 
 @wp.func
@@ -176,8 +167,8 @@ def make_surface(instancing: bool, smooth_normals: bool, moving: bool = False) -
                 moved = transform_vector(matrix, position)
                 offset = _offset(matrix)
                 # error of carrying the point to the world, and the ray to the object and back
-                error = _row_abs(matrix, error) + wp.static(2.0 * _GAMMA_8) * (
-                    _row_abs(matrix, _abs(position)) + _abs(offset)
+                error = image_reach(matrix, error) + wp.static(2.0 * _GAMMA_8) * (
+                    image_reach(matrix, _abs(position)) + _abs(offset)
                 )
                 position = moved + offset
                 edge_cross = _cofactor(matrix, edge_cross)

@@ -84,7 +84,7 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
     functions = make_lobes(features)
     reflectance = functions.reflectance
     mean_alpha, facets_of, _, _, sample_normal = make_facets(features)
-    mix, glass_shares = make_mixture(features)
+    mix, glass_shares, reflected_share = make_mixture(features)
     is_lambertian, is_cosine = features.test(LAMBERTIAN), features.test((*LAMBERTIAN, _K.ROUGH_DIFFUSE, _K.TRANSLUCENT))
     is_soft, is_facets, is_passing = features.test(SOFT), features.test(MICROFACET_KINDS), features.test(PASSING_KINDS)
     has_lambert, has_cosine = has(*LAMBERTIAN), has(*LAMBERTIAN, _K.ROUGH_DIFFUSE, _K.TRANSLUCENT)
@@ -217,6 +217,9 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
                         eta = relative_index(closures[chosen].ior, frame.entering)
                         shares = glass_shares(closures, chosen, f)
                         share = shares[0]
+                        if wp.static(features.half_glass):
+                            if left < share:
+                                f = reflected_share(closures, chosen, f)
                         if left >= share:
                             bits = TRANSMISSION
                             share = shares[1]

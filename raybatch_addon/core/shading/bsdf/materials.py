@@ -56,6 +56,8 @@ _COAT_KINDS = frozenset({_K.LAYERED_DIFFUSE, _K.DIELECTRIC})
 # float32; beyond it a dielectric reflects more than 99.6 % and is a mirror for all purposes.
 IOR_RANGE = (1e-3, 1e3)
 FILM_IOR_LEAST = 1e-5
+# `ClosureRecord.multiscatter` of glass of which the light that it reflects is left out
+NO_REFLECTION = wp.constant(2)
 ASPECT_LEAST = 1e-4  # least alpha along one direction over the mean, of anisotropic facets
 
 
@@ -64,6 +66,7 @@ class ClosureFeatures:
     """Kinds and abilities that BSDF functions are compiled for."""
 
     kinds: tuple[ClosureKind, ...] = ()
+    half_glass: bool = False  # some GLASS reflects nothing (`NO_REFLECTION`)
 
     def has(self, *kinds: ClosureKind) -> bool:
         """Whether any of `kinds` is compiled."""
@@ -125,7 +128,8 @@ class ClosureRecord:
     # RAY_PORTAL: where rays go on, if `distribution` is 1 [m]
     edge: wp.vec3
     refraction: wp.vec3  # GLASS: colour of refracted light relative to `weight`
-    multiscatter: int  # 1: light that bounces more than once between facets is added
+    # 1: light that bounces more than once between facets is added. GLASS that has been looked at: maybe `NO_REFLECTION`
+    multiscatter: int
     distribution: int  # BECKMANN: 1
     aspect: float  # ANISOTROPIC: alpha along `tangent` is multiplied by it, across it divided
     # ANISOTROPIC: about along the surface; 0: facets are isotropic. RAY_PORTAL: unit, where rays go; 0: ahead

@@ -20,7 +20,15 @@ from .drawn.toon import toon_bsdf
 from .facets import make_facets
 from .ggx import is_refraction_specular, is_specular
 from .lobes import Lobe, make_lobes, relative_index
-from .materials import MICROFACET_KINDS, MIRROR_KINDS, PASSING_KINDS, ClosureFeatures, ClosureRecord, ShadingFrame
+from .materials import (
+    MICROFACET_KINDS,
+    MIRROR_KINDS,
+    NO_REFLECTION,
+    PASSING_KINDS,
+    ClosureFeatures,
+    ClosureRecord,
+    ShadingFrame,
+)
 from .normals import bump_shadow, make_normals
 from .sheen import sheen_density, sheen_lobe, sheen_tangent, velvet_bsdf
 
@@ -43,6 +51,7 @@ class MixtureFunctions(NamedTuple):
     mix: wp.Function  # (closures, first, end, lobes, albedo, frame, wo, wi) -> Mixture
     # (closures, c: int, f: vec3) -> vec2: shares of samples that a facet of glass reflects and refracts
     glass_shares: wp.Function
+    reflected: wp.Function  # (closures, c: int, f: vec3) -> vec3: what is reflected of the share f; less for half glass
 
 
 @wp.struct
@@ -144,6 +153,13 @@ def make_mixture(features: ClosureFeatures) -> MixtureFunctions:
         return wp.vec2(pdf * cos_i / wp.max(cos_i, cos_o), pdf)
 
     @wp.func
+    def reflected(closures: wp.array(dtype=ClosureRecord), c: int, f: wp.vec3) -> wp.vec3:
+        """What of the share f of light, which a facet of glass reflects, goes on."""
+        if closures[c].multiscatter == NO_REFLECTION:
+            return wp.vec3(0.0)
+        return f
+
+    @wp.func
     def glass_shares(closures: wp.array(dtype=ClosureRecord), c: int, f: wp.vec3) -> wp.vec2:
         """Shares of the samples that a facet reflects and refracts, among those that it does not absorb.
 
@@ -151,6 +167,8 @@ def make_mixture(features: ClosureFeatures) -> MixtureFunctions:
         samples then have the weight 1.
         """
         reflects = _mean(f)
+        if wp.static(features.half_glass):
+            reflects = _mean(reflected(closures, c, f))
         passes = _mean(wp.cw_mul(wp.vec3(1.0) - f, closures[c].refraction))
         total = reflects + passes
         if total > 0.0:
@@ -227,6 +245,8 @@ def make_mixture(features: ClosureFeatures) -> MixtureFunctions:
                             if wp.static(has_glass):
                                 if kind == _GLASS:
                                     pdf = glass_shares(closures, c, f)[0] * pdf
+                                    if wp.static(features.half_glass):
+                                        f = reflected(closures, c, f)
                             mixture.value += shadowed * wp.cw_mul(lobe.scale, f)
                             mixture.density += lobe.selection * pdf
                     if wp.static(has_phong):
@@ -263,4 +283,4 @@ def make_mixture(features: ClosureFeatures) -> MixtureFunctions:
                             mixture.density += lobe.selection * (glass_shares(closures, c, f)[1] * pdf)
         return mixture
 
-    return MixtureFunctions(mix, glass_shares)
+    return MixtureFunctions(mix, glass_shares, reflected)

@@ -11,7 +11,7 @@ from ...programs.point import IN_VOLUME, ShadingPoint
 from ...programs.run import make_run
 from ...programs.uniform import is_uniform
 from ...scene.description import ClosureKind
-from ...scene.geometry import mat34, transform_point, transform_vector
+from ...scene.geometry import image_reach, transform_point, transform_vector
 from ...scene.moved import inverse_at, motion_row
 from ...scene.program import ProgramFeatures
 from ...shading.bsdf.materials import RECORD_FLOATS, ClosureRecord, address_of, address_of_closure
@@ -157,16 +157,6 @@ def varies_along(volumes: VolumeData, inside: wp.vec4i) -> bool:
 
 
 @wp.func
-def _reach_of(m: mat34, extent: wp.vec3) -> wp.vec3:
-    # half the extent of the image of a box of this half extent
-    return wp.vec3(
-        wp.abs(m[0, 0]) * extent[0] + wp.abs(m[0, 1]) * extent[1] + wp.abs(m[0, 2]) * extent[2],
-        wp.abs(m[1, 0]) * extent[0] + wp.abs(m[1, 1]) * extent[1] + wp.abs(m[1, 2]) * extent[2],
-        wp.abs(m[2, 0]) * extent[0] + wp.abs(m[2, 1]) * extent[1] + wp.abs(m[2, 2]) * extent[2],
-    )
-
-
-@wp.func
 def bound_ahead(volumes: VolumeData, inside: wp.vec4i, origin: wp.vec3, direction: wp.vec3, time: float) -> Reach:
     """A bound of the extinction ahead of `origin` at `time`: of what programs give an estimate, of constants their sum.
     Where constants emit light, there is a flight a cell at least. Along each axis of the cells it is taken to hold as
@@ -205,8 +195,8 @@ def bound_ahead(volumes: VolumeData, inside: wp.vec4i, origin: wp.vec3, directio
                         to_object = inverse_at(volumes.nodes.geometry, row, time)
                         at = transform_point(to_object, at)
                         ahead = transform_vector(to_object, ahead)
-                        told = _reach_of(to_object, told)
-                told = _reach_of(grid.to_cells, told)
+                        told = image_reach(to_object, told)
+                told = image_reach(grid.to_cells, told)
                 at = transform_point(grid.to_cells, at)
                 ahead = transform_vector(grid.to_cells, ahead)
                 cell = wp.vec3i(0, 0, 0)

@@ -46,6 +46,8 @@ def without(kind: str) -> None:
 
 
 without("reflective or refractive")
+without("reflective")
+without("refractive")
 
 
 @feature("Filter Glossy", "Surface", "picture")

@@ -66,6 +66,16 @@ class SurfaceFeatures:
         return not (self.caustics_reflective and self.caustics_refractive)
 
     @property
+    def half_glass(self) -> bool:
+        """Glass may reflect alone or refract alone, since one kind of caustics is left out."""
+        return self.lacks_caustics and ClosureKind.GLASS in self.closures
+
+    @property
+    def changes_closures(self) -> bool:
+        """Closures may be others to some paths."""
+        return self.filter_glossy or self.half_glass
+
+    @property
     def least_density(self) -> bool:
         """It matters how widely a path has scattered."""
         return self.filter_glossy or "bevel" in self.programs.ops

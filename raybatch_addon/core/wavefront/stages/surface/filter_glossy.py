@@ -16,29 +16,22 @@ from ....shading.bsdf.materials import MICROFACET_KINDS, ClosureFeatures, Closur
 
 @functools.cache
 def make_blur(features: ClosureFeatures) -> wp.Function:
-    """Function (closures, first, end, blurred, least_alpha: float): copies closures to the begin of `blurred`, with
-    facets of at least that alpha along either axis.
+    """Function (closures, count, least_alpha: float): the facets of the first `count` closures, which belong to the
+    path, get at least that alpha along either axis.
     """
     is_facets = features.test(MICROFACET_KINDS - {ClosureKind.SUBSURFACE})
 
     @wp.func
-    def blur(
-        closures: wp.array(dtype=ClosureRecord),
-        first: int,
-        end: int,
-        blurred: wp.array(dtype=ClosureRecord),
-        least_alpha: float,
-    ):
-        for c in range(first, end):
-            record = closures[c]
-            if is_facets(record.kind):
-                alpha = record.roughness * record.roughness
-                along = wp.max(alpha * record.aspect, least_alpha)
-                across = wp.max(alpha / record.aspect, least_alpha)
-                if along > alpha * record.aspect or across > alpha / record.aspect:
-                    record.roughness = wp.min(wp.sqrt(wp.sqrt(along * across)), 1.0)
-                    record.aspect = wp.sqrt(along / across)
-            blurred[c - first] = record
+    def blur(closures: wp.array(dtype=ClosureRecord), count: int, least_alpha: float):
+        for c in range(count):
+            if is_facets(closures[c].kind):
+                alpha = closures[c].roughness * closures[c].roughness
+                aspect = closures[c].aspect
+                along = wp.max(alpha * aspect, least_alpha)
+                across = wp.max(alpha / aspect, least_alpha)
+                if along > alpha * aspect or across > alpha / aspect:
+                    closures[c].roughness = wp.min(wp.sqrt(wp.sqrt(along * across)), 1.0)
+                    closures[c].aspect = wp.sqrt(along / across)
 
     return blur
 

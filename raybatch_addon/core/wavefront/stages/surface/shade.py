@@ -62,12 +62,12 @@ from ..work import TileWork
 from .aim import AimFeatures, aimed_light, is_aimed, make_choose_light
 from .answered import make_answered_program
 from .caustics import make_leave_out_caustics
+from .changed import make_change
 from .clear import make_note_clear
 from .cone import cone_width, make_filtered_program, make_scattered_cone, path_cone
 from .connect_light import make_connect_light
 from .emission import make_gather_emission
 from .features import SurfaceFeatures
-from .filter_glossy import blur_alpha, make_blur
 from .history import history_after
 from .portal import pass_portal
 from .program import fixed_closure_count, fixed_closures, make_surface_program, program_of, shading_point
@@ -89,7 +89,7 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
     sample_1d = sampler.sample_1d
     sample_3d = sampler.sample_3d
     vertex = make_vertex(narrow(features, VertexFeatures))
-    kinds = ClosureFeatures(features.closures)
+    kinds = ClosureFeatures(features.closures, features.half_glass)
     bsdf = make_bsdf(kinds)
     look, propose, mix, value, complete = bsdf.look, bsdf.propose, bsdf.mix, bsdf.value, bsdf.complete
     bsdf_holdout = bsdf.holdout
@@ -108,7 +108,7 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
     if features.records_surfaces:
         colors = shows_colors(features.passes)
         record_surface = make_record_surface(kinds, features.transparency, colors, features.catchers)
-    blur = make_blur(kinds)
+    change = make_change(kinds, features.filter_glossy)
     note_clear = make_note_clear(kinds)
     leave_out_caustics = make_leave_out_caustics(kinds, features.caustics_reflective, features.caustics_refractive)
 
@@ -246,16 +246,12 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
                 record_surface(data, paths, rays, film, path, v, view)
         if wp.static(features.lacks_caustics):
             leave_out_caustics(limits, closures, first, end, lobes, visibility_of(status))
-        if wp.static(features.filter_glossy):  # colours are those of the facets as they are
-            of_blurred = wp.zeros(wp.static(lobes_most * RECORD_FLOATS), dtype=float)
-            blurred = wp.array(ptr=address_of(of_blurred), shape=(wp.static(lobes_most),), dtype=ClosureRecord)
+        if wp.static(features.changes_closures):  # colours are those of the facets as they are
+            of_own = wp.zeros(wp.static(lobes_most * RECORD_FLOATS), dtype=float)
+            own = wp.array(ptr=address_of(of_own), shape=(wp.static(lobes_most),), dtype=ClosureRecord)
             where = address_of_closure(closures, 0)
-            if paths.least_density.shape[0] > 0 and limits.filter_glossy > 0.0:
-                least = float(0.0)
-                if v.bounce > 0:
-                    least = blur_alpha(limits.filter_glossy, paths.least_density[path])
-                blur(closures, first, end, blurred, least)
-                where = address_of(of_blurred)
+            if change(limits, paths, path, status, v.bounce, closures, first, end, own):
+                where = address_of(of_own)
                 end = end - first
                 first = 0
             closures = wp.array(ptr=where, shape=(wp.max(lobes_most, closures.shape[0]),), dtype=ClosureRecord)
