@@ -17,6 +17,7 @@ from tests.support import scenes
 pytestmark = pytest.mark.usefixtures("general_kernels")
 
 LAMP, INTENSITY, SCATTERING = np.array([0.05, 0.1, 0.3]), 2.0, np.array([0.2, 0.4, 0.8])
+SEEDS = 16  # pictures; their spread is known to a sixth
 ONCE = dict(bounce_max=0, roulette_bounce=10, sample_count=64)
 
 
@@ -57,9 +58,9 @@ def even(a, b) -> tuple[np.ndarray, np.ndarray]:
 
 def assert_near(session, scene, expected, largest_error: float, **changes) -> None:
     """The mean of pictures is `expected`, and differs less than `largest_error` of it between pictures of a seed."""
-    means = np.array([picture(session, scene, seed=seed, **ONCE | changes).mean((0, 1)) for seed in range(8)])
+    means = np.array([picture(session, scene, seed=seed, **ONCE | changes).mean((0, 1)) for seed in range(SEEDS)])
     spread = means.std(0, ddof=1)
-    assert np.all(np.abs(means.mean(0) - expected) < 5 * spread / math.sqrt(8) + 1e-4 * expected), (means, expected)
+    assert np.all(np.abs(means.mean(0) - expected) < 5 * spread / math.sqrt(SEEDS) + 1e-4 * expected), (means, expected)
     assert np.all(spread < largest_error * expected), spread / expected
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from .medium import bound_ahead
+from .medium import EXTINCTION, bound_ahead
 from .table import VolumeData
 
 # Depths below which 1 - exp(-x) is x (1 - x / 2), to rounding
@@ -61,7 +61,7 @@ def sought_in_bounds(
     cells = int(0)
     while t < length and depth < wp.static(_BOUND_PATHS_MOST) and cells < wp.static(_CELLS_MOST):
         cells += 1
-        reach = bound_ahead(volumes, inside, origin + t * direction, direction, time)
+        reach = bound_ahead(volumes, inside, origin + t * direction, direction, time, EXTINCTION)
         end = wp.min(t + reach.length, length)
         if not end > t:
             break

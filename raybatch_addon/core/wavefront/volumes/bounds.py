@@ -1,7 +1,7 @@
 """Bounds of the extinction of volumes whose coefficients programs give: found before the render, on grids of cells.
 
-A program is evaluated at some points of each cell, and where grids that it may read are largest there. The largest
-extinction of the cell and its neighbours counts.
+A program is evaluated at a point of each octant of a cell, and where grids that it may read are largest in the cell.
+The largest extinction of the cell and of the octants around it counts.
 That is an estimate: where a program exceeds it, the volume is rendered as dense as the bound.
 """
 
@@ -29,7 +29,7 @@ from .medium import LOBES_MOST, PHASE_LOBE_FLOATS, WORLD_REACH, make_medium
 from .segment import ray_point
 from .table import BoundBox, Bounds, BoundWork, VolumeData
 
-# Cells along each axis at most, cells of all volumes together, and points of a cell
+# Cells along each axis at most, cells of all volumes together, and points of a cell, one an octant
 CELLS_MOST, CELLS_TOGETHER = 32, 1 << 20
 CELL_POINTS = 8
 # A volume is taken to be this much denser than at the densest point that was found
@@ -61,14 +61,14 @@ class Bounded:
 
 @wp.func
 def point_of_cell(number: int, cells: int, k: int) -> wp.vec3:
-    """Point `k` of cell `number` of `cells`^3, the last axis changing fastest, drawn at random: from the corner of
-    their box [cells].
+    """Point `k` of cell `number` of `cells`^3, the last axis changing fastest, drawn at random in the cell's octant
+    `k`: from the corner of their box [cells].
     """
     seed = mix_bits(wp.uint32(number * wp.static(CELL_POINTS) + k))
     return wp.vec3(
-        float(number / (cells * cells)) + sequence_number(seed),
-        float((number / cells) % cells) + sequence_number(mix_bits(seed + wp.uint32(1))),
-        float(number % cells) + sequence_number(mix_bits(seed + wp.uint32(2))),
+        float(number / (cells * cells)) + 0.5 * (float((k >> 2) & 1) + sequence_number(seed)),
+        float((number / cells) % cells) + 0.5 * (float((k >> 1) & 1) + sequence_number(mix_bits(seed + wp.uint32(1)))),
+        float(number % cells) + 0.5 * (float(k & 1) + sequence_number(mix_bits(seed + wp.uint32(2)))),
     )
 
 
@@ -88,11 +88,13 @@ def make_bound(programs: ProgramFeatures, emission: bool = False) -> wp.Function
         inside = wp.vec4i(box.code, 0, 0, 0)
         floats = wp.zeros(wp.static(LOBES_MOST * PHASE_LOBE_FLOATS), dtype=float)
         lobes = wp.array(ptr=address_of(floats), shape=(wp.static(LOBES_MOST),), dtype=PhaseLobe)
-        largest = float(0.0)
         emitted = wp.vec2(0.0)
         points = int(CELL_POINTS)
         more = volumes.asked.places.shape[0] / (volumes.asked.boxes.shape[0] * per_box)
+        first = points * (box.first + cell)
         for k in range(points + more):
+            largest = float(0.0)
+            flights = float(0.0)
             place = box.origin + box.edges * (point_of_cell(cell, cells, k) / float(cells))
             if k >= points:
                 place = volumes.asked.places[i * more + k - points]
@@ -111,14 +113,20 @@ def make_bound(programs: ProgramFeatures, emission: bool = False) -> wp.Function
                     light = wp.min((m.emission[0] + m.emission[1] + m.emission[2]) / 3.0, 1.0e18)
                     emitted += wp.vec2(light, light * light) / wp.static(float(CELL_POINTS))
                 for axis in range(3):
-                    # an emission alone must be met too, however little is there
-                    least = wp.where(m.emission[axis] > 0.0, box.flights, 0.0)
-                    largest = wp.max(largest, wp.max(m.extinction[axis], least))
+                    largest = wp.max(largest, m.extinction[axis])
+                    if m.emission[axis] > 0.0:  # it must be met too, however little else is there
+                        flights = box.flights
                 ray += 1
+            largest = wp.min(largest, 1.0e18)
+            found = wp.vec2(largest, wp.max(largest, flights))
+            if k < points:
+                volumes.asked.found[first + k] = found
+            else:  # it counts wherever in the cell it is
+                for octant in range(points):
+                    volumes.asked.found[first + octant] = wp.max(volumes.asked.found[first + octant], found)
         if wp.static(emission):
             if volumes.asked.emitted.shape[0] > 0:
                 volumes.asked.emitted[i] = emitted
-        volumes.asked.found[box.first + cell] = wp.min(largest, 1.0e18)
 
     return bound
 
@@ -154,7 +162,7 @@ def find_bounds(
         return None
     cells = int(np.clip((CELLS_TOGETHER / len(bounded)) ** (1 / 3), 1, CELLS_MOST))
     count = cells**3
-    found = wp.zeros(len(bounded) * count, dtype=float, device=device)
+    found = wp.zeros(len(bounded) * count * CELL_POINTS, dtype=wp.vec2, device=device)
     grids = np.zeros(len(bounded), Bounds.numpy_dtype())
     boxes = np.zeros(len(bounded), BoundBox.numpy_dtype())
     low = np.stack([each.box[0] for each in bounded])
@@ -202,12 +210,13 @@ def find_bounds(
         launch(volumes, len(together) * count)
     volumes.asked = BoundWork()
     volumes.world = world
-    numbers = found.numpy().reshape(-1, cells, cells, cells)
-    denser = numbers.max((1, 2, 3)) > most
-    numbers = np.minimum(_MARGIN * _with_neighbours(numbers), most[:, None, None, None])
+    octants = found.numpy().reshape(len(bounded), cells, cells, cells, 2, 2, 2, 2)
+    denser = octants.reshape(len(bounded), -1).max(1) > most
+    around = np.stack([_largest_around(each) for each in octants])
+    numbers = np.minimum(_MARGIN * around, most[:, None, None, None, None])
     return FoundBounds(
         grids=wp.array(grids, dtype=Bounds, device=device),
-        bounds=wp.array(numbers.ravel().astype(np.float32), dtype=float, device=device),
+        bounds=wp.array(numbers.reshape(-1, 2).astype(np.float32), dtype=wp.vec2, device=device),
         most=np.where(denser, most, np.inf),
     )
 
@@ -264,11 +273,11 @@ def goes_on_beyond(
     asked = BoundWork()
     asked.cells, asked.rays = cells, 1
     asked.boxes = wp.array(whole, dtype=BoundBox, device=device)
-    asked.found = wp.zeros(cells**3, dtype=float, device=device)
+    asked.found = wp.zeros(cells**3 * CELL_POINTS, dtype=wp.vec2, device=device)
     volumes.asked = asked
     launch(volumes, cells**3)
     volumes.asked = BoundWork()
-    found = asked.found.numpy().reshape(cells, cells, cells).astype(np.float64)
+    found = largest_of_cells(asked.found).reshape(cells, cells, cells)
     for axis in range(3):
         line = np.moveaxis(found, axis, 0)[:, _LINE_CELLS, _LINE_CELLS] * edge[axis] / cells
         for way in (line[_LINE_CELLS:], line[_LINE_CELLS::-1]):
@@ -277,12 +286,24 @@ def goes_on_beyond(
     return False
 
 
-def _with_neighbours(cells: np.ndarray) -> np.ndarray:
-    """The largest of each cell and those around it; shape [n, x, y, z]."""
-    for axis in (1, 2, 3):
-        padded = np.pad(cells, [(int(axis == k), int(axis == k)) for k in range(4)], mode="edge")
-        parts = [np.take(padded, np.arange(first, first + cells.shape[axis]), axis) for first in range(3)]
-        cells = np.maximum.reduce(parts)
+def largest_of_cells(found: wp.array) -> np.ndarray:
+    """The largest extinction of each cell of `BoundWork.found` [1/m], float64."""
+    return found.numpy()[:, 0].reshape(-1, CELL_POINTS).max(1).astype(np.float64)
+
+
+def _largest_around(octants: np.ndarray) -> np.ndarray:
+    """The largest of each cell and of the octants that touch it; shape [x, y, z, ...] from [x, y, z, 2, 2, 2, ...]."""
+    cells = octants
+    for axis in range(3):
+        # the half of a cell before it, its own two, the half of one behind it; those at the ends have none
+        low, high = np.split(cells, 2, 3)
+        own = np.maximum(low, high)
+        inner = [slice(None)] * own.ndim
+        before, behind = [*inner], [*inner]
+        before[axis], behind[axis] = slice(None, -1), slice(1, None)
+        own[tuple(behind)] = np.maximum(own[tuple(behind)], high[tuple(before)])
+        own[tuple(before)] = np.maximum(own[tuple(before)], low[tuple(behind)])
+        cells = own.squeeze(3)
     return cells
 
 

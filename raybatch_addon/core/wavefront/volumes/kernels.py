@@ -22,6 +22,10 @@ from .scatter import make_scatter
 from .table import VolumeData
 from .transmit import make_transmit
 
+# Registers of a CUDA thread at most: flights wait for programs, and the more of them wait at once the better. On an H100
+# 0.91 and 0.86 of the time in two files, 1.01 in a third
+_REGISTERS = 64
+
 
 def volume_kernel(features: VolumeFeatures, out_of_line: bool) -> wp.Kernel:
     """Kernel (data, volumes, work, limits, paths, rays, slots, count) of the stage `scatter`.
@@ -77,7 +81,7 @@ def _stage_kernel(function: wp.Function, out_of_line: bool) -> wp.Kernel:
         function(data, volumes, work, limits, paths, rays, slots[i])
 
     stage.__name__ = stage.__qualname__ = f"{function.func.__name__}_kernel"
-    return wp.kernel(stage, **kernel_options(out_of_line))
+    return wp.kernel(stage, **kernel_options(out_of_line), cuda_max_registers=_REGISTERS)
 
 
 @functools.cache

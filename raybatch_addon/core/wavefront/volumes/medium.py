@@ -21,6 +21,8 @@ from .table import INSIDE_MOST, VolumeData, entry
 
 # Scattering closures of a point; those beyond them scatter as the last one
 LOBES_MOST = 16
+# What bounds are of: entries of `VolumeData.bounds`
+EXTINCTION, FLIGHTS = wp.constant(0), wp.constant(1)
 PHASE_LOBE_FLOATS = PhaseLobe.numpy_dtype()["itemsize"] // 4
 # Largest coefficient of a closure [1/m]: sums of them are finite
 _DENSEST = 1e18
@@ -157,17 +159,22 @@ def varies_along(volumes: VolumeData, inside: wp.vec4i) -> bool:
 
 
 @wp.func
-def bound_ahead(volumes: VolumeData, inside: wp.vec4i, origin: wp.vec3, direction: wp.vec3, time: float) -> Reach:
+def bound_ahead(
+    volumes: VolumeData, inside: wp.vec4i, origin: wp.vec3, direction: wp.vec3, time: float, of: int
+) -> Reach:
     """A bound of the extinction ahead of `origin` at `time`: of what programs give an estimate, of constants their sum.
-    Where constants emit light, there is a flight a cell at least. Along each axis of the cells it is taken to hold as
-    far as the next place that float32 tells from `origin`, which may be cells ahead far from the world's origin.
+    `of`: EXTINCTION, or FLIGHTS: where light is emitted there is a flight a cell at least. Along each axis of the cells
+    it is taken to hold as far as the next place that float32 tells from `origin`, which may be cells ahead far from the
+    world's origin.
     """
     reach = Reach()
     emits = bool(False)
     cells_per_length = float(0.0)  # [1/m]
     reach.length = wp.static(FARTHEST)
-    for place in range(wp.static(INSIDE_MOST + 1)):
+    place = int(0)
+    while place < wp.static(INSIDE_MOST + 1):
         found = entry(volumes, inside, place)
+        place += 1
         volume = found[1]
         if volume >= 0:
             if volumes.nodes.program_first[volume] < 0:
@@ -224,9 +231,9 @@ def bound_ahead(volumes: VolumeData, inside: wp.vec4i, origin: wp.vec3, directio
                 if beyond:
                     length = wp.static(FARTHEST)
                 else:
-                    reach.bound += volumes.bounds[index]
+                    reach.bound += volumes.bounds[index][of]
                 reach.length = wp.min(reach.length, length)
-    if emits:
+    if emits and of == FLIGHTS:
         reach.bound = wp.max(reach.bound, cells_per_length)
     return reach
 

@@ -39,8 +39,8 @@ class BoundBox:
     edges: wp.mat33  # its edges from there, by columns [m]
     code: int  # the volume that is looked at, as in `MediaState`; 0: none but that of the world
     moving: int  # the instance that moves; -1: nothing does
-    first: int  # of its cells in `BoundWork.found`
-    flights: float  # the least bound of what emits light [1/m]
+    first: int  # of its cells among all
+    flights: float  # flights at least where light is emitted [1/m]
 
 
 @wp.struct
@@ -51,7 +51,9 @@ class BoundWork:
     cells: int  # along each axis
     rays: int  # kinds of rays that are looked at, see `bounds.py`
     places: wp.array(dtype=wp.vec3)  # where more is looked at: as many points of each cell [m]; or none
-    found: wp.array(dtype=float)  # result of each cell: the largest extinction [1/m]
+    # result of each octant of a cell: the largest extinction, and that or `BoundBox.flights` where light is emitted
+    # [1/m]
+    found: wp.array(dtype=wp.vec2)
     # and, where volumes are emitters: means of emission [W/(m³ sr)] and of its square; or none
     emitted: wp.array(dtype=wp.vec2)
 
@@ -117,7 +119,8 @@ class VolumeData:
     bounds_of: wp.array(dtype=int)  # entry in `grids`, by instance * volume_count + volume; -1: there is no program
     world_bounds: int
     grids: wp.array(dtype=Bounds)
-    bounds: wp.array(dtype=float)  # largest extinction of each cell [1/m]
+    # of each cell: bound of the extinction, and of flights that meet what is emitted as well [1/m]
+    bounds: wp.array(dtype=wp.vec2)
     enclosures: Enclosures
     lights: VolumeLights
     bounce_max: int  # a path scatters in volumes once more at most

@@ -26,7 +26,17 @@ from ...shading.volumes.numbers import LIT_STREAM, stream_number
 from ...shading.volumes.phase import PhaseLobe
 from .along import Sought, density_by_light, length_by_light
 from .emission.weigh import Seen
-from .medium import LOBES_MOST, PHASE_LOBE_FLOATS, Coefficients, bound_ahead, make_medium, may_vary, varies_along
+from .medium import (
+    EXTINCTION,
+    FLIGHTS,
+    LOBES_MOST,
+    PHASE_LOBE_FLOATS,
+    Coefficients,
+    bound_ahead,
+    make_medium,
+    may_vary,
+    varies_along,
+)
 from .table import VolumeData
 
 # Flights of a path between two rays: longer ways go on with a new ray
@@ -83,7 +93,7 @@ def make_shining(programs: ProgramFeatures) -> wp.Function:
         m = medium(volumes, inside, point, lobes)
         if wp.static(varies):
             if varies_along(volumes, inside):
-                reach = bound_ahead(volumes, inside, point.position, -point.incoming, point.time)
+                reach = bound_ahead(volumes, inside, point.position, -point.incoming, point.time, FLIGHTS)
                 if not reach.bound > 0.0:
                     return wp.vec3(0.0)
                 return m.emission * (reach.bound / densest(m, reach.bound))
@@ -112,34 +122,40 @@ def make_transmitted(programs: ProgramFeatures) -> wp.Function:
         number = wp.uint32(0)
         flights = int(0)
         while t < length and flights < wp.static(_SHADOW_FLIGHTS_MOST):
-            flights += 1
-            here = begin + t * direction
-            reach = bound_ahead(volumes, inside, here, direction, point.time)
-            end = wp.min(t + reach.length, length)
-            flight = float(wp.inf)
-            if reach.bound > 0.0:
-                flight = -wp.log(1.0 - stream_number(stream, number)) / reach.bound
-            number += wp.uint32(1)
-            if not t + flight < end:
+            # flights to the next point at which programs are asked: on a GPU the threads of a warp come there together
+            bound = float(0.0)
+            while t < length and flights < wp.static(_SHADOW_FLIGHTS_MOST):
+                flights += 1
+                here = begin + t * direction
+                reach = bound_ahead(volumes, inside, here, direction, point.time, EXTINCTION)
+                end = wp.min(t + reach.length, length)
+                flight = float(wp.inf)
+                if reach.bound > 0.0:
+                    flight = -wp.log(1.0 - stream_number(stream, number)) / reach.bound
+                number += wp.uint32(1)
+                if t + flight < end:
+                    t += wp.max(flight, wp.static(_LENGTH_LEAST))
+                    bound = reach.bound
+                    break
                 if not end > t:  # the steps that are left are smaller than the distance can tell
                     break
                 t = end
-            else:
-                t += wp.max(flight, wp.static(_LENGTH_LEAST))
-                point.position = begin + t * direction
-                m = medium(volumes, inside, point, lobes)
-                most = densest(m, reach.bound)
-                for axis in range(3):
-                    share[axis] = share[axis] * wp.max(1.0 - m.extinction[axis] / most, 0.0)
-                largest = wp.max(share[0], wp.max(share[1], share[2]))
-                if not largest > 0.0:
+            if not bound > 0.0:
+                break
+            point.position = begin + t * direction
+            m = medium(volumes, inside, point, lobes)
+            most = densest(m, bound)
+            for axis in range(3):
+                share[axis] = share[axis] * wp.max(1.0 - m.extinction[axis] / most, 0.0)
+            largest = wp.max(share[0], wp.max(share[1], share[2]))
+            if not largest > 0.0:
+                return wp.vec3(0.0)
+            if largest < wp.static(_ROULETTE_BELOW):
+                survival = largest / wp.static(_ROULETTE_BELOW)
+                if stream_number(stream, number) >= survival:
                     return wp.vec3(0.0)
-                if largest < wp.static(_ROULETTE_BELOW):
-                    survival = largest / wp.static(_ROULETTE_BELOW)
-                    if stream_number(stream, number) >= survival:
-                        return wp.vec3(0.0)
-                    share = share / survival
-                    number += wp.uint32(1)
+                share = share / survival
+                number += wp.uint32(1)
         return share
 
     return transmitted
@@ -205,83 +221,92 @@ def make_track(programs: ProgramFeatures, weighed: wp.Function | None = None) ->
         number = wp.uint32(0)
         flights = int(0)
         while t < length:
-            if flights >= wp.static(FLIGHTS_MOST):
-                way.event = wp.static(STOPPED)
-                way.length = t
-                break
-            flights += 1
-            here = begin + t * direction
-            reach = bound_ahead(volumes, inside, here, direction, point.time)
-            end = wp.min(t + reach.length, length)
-            # a flight that comes to the point that is sought goes on from there as if it had begun there
-            is_ahead = ahead >= t and ahead < end
-            if is_ahead:
-                end = ahead
-            flight = float(wp.inf)
-            if reach.bound > 0.0:
-                flight = -wp.log(1.0 - stream_number(stream, number)) / reach.bound
-            number += wp.uint32(1)
-            collides = t + flight < end
-            if not collides:
+            # flights to the next point at which programs are asked: on a GPU the threads of a warp come there together
+            bound = float(0.0)
+            collides = bool(False)
+            while t < length:
+                if flights >= wp.static(FLIGHTS_MOST):
+                    way.event = wp.static(STOPPED)
+                    way.length = t
+                    break
+                flights += 1
+                here = begin + t * direction
+                reach = bound_ahead(volumes, inside, here, direction, point.time, FLIGHTS)
+                end = wp.min(t + reach.length, length)
+                # a flight that comes to the point that is sought goes on from there as if it had begun there
+                is_ahead = ahead >= t and ahead < end
+                if is_ahead:
+                    end = ahead
+                flight = float(wp.inf)
+                if reach.bound > 0.0:
+                    flight = -wp.log(1.0 - stream_number(stream, number)) / reach.bound
+                number += wp.uint32(1)
+                if t + flight < end:
+                    t += wp.max(flight, wp.static(_LENGTH_LEAST))
+                    bound = reach.bound
+                    collides = True
+                    break
                 if not (end > t or is_ahead):
                     break
                 t = end
                 if is_ahead:
                     ahead = wp.inf
-            else:
-                t += wp.max(flight, wp.static(_LENGTH_LEAST))
-            if collides or (is_ahead and reach.bound > 0.0):
-                point.position = begin + t * direction
-                m = medium(volumes, inside, point, lobes)
-                carried = wp.cw_mul(throughput, way.weight)
-                most = densest(m, reach.bound)
-                scattered = m.scattering / most
-                if seeks and m.lobes > 0:
-                    share = float(1.0)
-                    worth = float(1.0)
-                    if searches:
-                        density = _sought_density(sought, t)
-                        share = reach.bound / (reach.bound + density)
-                        worth = 1.0 + density * (sought.last - sought.first)
-                    value = share * worth * wp.dot(carried, scattered)
-                    expected += value
-                    if stream_number(lit_stream, number) * expected < value:
-                        way.lit.length = t
-                        way.lit.weight = share * wp.cw_mul(way.weight, scattered) / value
-                        way.lit.medium = m
-                        for k in range(m.lobes):
-                            lit_lobes[k] = lobes[k]
-                if collides:
-                    emission = m.emission
-                    if wp.static(weighed is not None):
-                        emission = weighed(volumes, table, seen, inside, point, emission)
-                    way.emitted += wp.cw_mul(way.weight, emission) / most
-                    null = wp.vec3(0.0)
-                    for axis in range(3):
-                        null[axis] = wp.max(1.0 - m.extinction[axis] / most, 0.0)
-                    likely = wp.dot(carried, scattered)
-                    total = likely + wp.dot(carried, null)
-                    chance = float(0.0)
-                    if scatters and total > 0.0:
-                        chance = likely / total
-                    if stream_number(stream, number) < chance:
-                        way.weight = wp.cw_mul(way.weight, scattered) / chance
-                        way.event = wp.static(SCATTERED)
-                        way.length = t
-                        way.medium = m
+                    if reach.bound > 0.0:
+                        bound = reach.bound
                         break
-                    way.weight = wp.cw_mul(way.weight, null) / (1.0 - chance)
+            if not bound > 0.0:
+                break
+            point.position = begin + t * direction
+            m = medium(volumes, inside, point, lobes)
+            carried = wp.cw_mul(throughput, way.weight)
+            most = densest(m, bound)
+            scattered = m.scattering / most
+            if seeks and m.lobes > 0:
+                share = float(1.0)
+                worth = float(1.0)
+                if searches:
+                    density = _sought_density(sought, t)
+                    share = bound / (bound + density)
+                    worth = 1.0 + density * (sought.last - sought.first)
+                value = share * worth * wp.dot(carried, scattered)
+                expected += value
+                if stream_number(lit_stream, number) * expected < value:
+                    way.lit.length = t
+                    way.lit.weight = share * wp.cw_mul(way.weight, scattered) / value
+                    way.lit.medium = m
+                    for k in range(m.lobes):
+                        lit_lobes[k] = lobes[k]
+            if collides:
+                emission = m.emission
+                if wp.static(weighed is not None):
+                    emission = weighed(volumes, table, seen, inside, point, emission)
+                way.emitted += wp.cw_mul(way.weight, emission) / most
+                null = wp.vec3(0.0)
+                for axis in range(3):
+                    null[axis] = wp.max(1.0 - m.extinction[axis] / most, 0.0)
+                likely = wp.dot(carried, scattered)
+                total = likely + wp.dot(carried, null)
+                chance = float(0.0)
+                if scatters and total > 0.0:
+                    chance = likely / total
+                if stream_number(stream, number) < chance:
+                    way.weight = wp.cw_mul(way.weight, scattered) / chance
+                    way.event = wp.static(SCATTERED)
+                    way.length = t
+                    way.medium = m
+                    break
+                way.weight = wp.cw_mul(way.weight, null) / (1.0 - chance)
+                number += wp.uint32(1)
+                largest = wp.max(way.weight[0], wp.max(way.weight[1], way.weight[2]))
+                if not largest > 0.0:
+                    break
+                if largest < wp.static(_ROULETTE_BELOW):
+                    survival = largest / wp.static(_ROULETTE_BELOW)
+                    if stream_number(stream, number) >= survival:
+                        way.weight = wp.vec3(0.0)
+                        break
+                    way.weight = way.weight / survival
                     number += wp.uint32(1)
-                    largest = wp.max(way.weight[0], wp.max(way.weight[1], way.weight[2]))
-                    if not largest > 0.0:
-                        break
-                    if largest < wp.static(_ROULETTE_BELOW):
-                        survival = largest / wp.static(_ROULETTE_BELOW)
-                        if stream_number(stream, number) >= survival:
-                            way.weight = wp.vec3(0.0)
-                            break
-                        way.weight = way.weight / survival
-                        number += wp.uint32(1)
         way.lit.weight = expected * way.lit.weight
         return way
 

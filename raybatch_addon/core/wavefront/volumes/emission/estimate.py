@@ -14,7 +14,7 @@ from ....device.devices import load_module
 from ....device.kernel import KERNEL_OPTIONS
 from ....scene.description import ClosureKind, Scene, Volume
 from ....shading.volumes.enclosures import AHEAD, FARTHEST
-from ..bounds import CELL_POINTS, CELLS_MOST, Bounded, point_of_cell, slots_of
+from ..bounds import CELL_POINTS, CELLS_MOST, Bounded, largest_of_cells, point_of_cell, slots_of
 from ..grids import density_scale
 from ..table import BoundBox, BoundWork, VolumeData
 from .weigh import POINTS
@@ -174,12 +174,12 @@ class Estimates:
         boxes["first"] = np.arange(len(of)) * count**3
         asked = BoundWork()
         asked.boxes, asked.cells, asked.rays = wp.array(boxes, dtype=BoundBox, device=self._device), count, 1
-        asked.found = wp.zeros(len(of) * count**3, dtype=float, device=self._device)
+        asked.found = wp.zeros(len(of) * count**3 * CELL_POINTS, dtype=wp.vec2, device=self._device)
         asked.emitted = wp.zeros(len(of) * count**3, dtype=wp.vec2, device=self._device)
         world, volumes.world, volumes.asked = volumes.world, -1, asked
         self._launch(volumes, len(of) * count**3)
         volumes.asked, volumes.world = BoundWork(), world
-        found, emitted = asked.found.numpy().astype(np.float64), asked.emitted.numpy().astype(np.float64)
+        found, emitted = largest_of_cells(asked.found), asked.emitted.numpy().astype(np.float64)
         return found.reshape(len(of), -1), emitted.reshape(len(of), -1, 2)
 
 
