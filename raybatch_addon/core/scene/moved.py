@@ -65,6 +65,20 @@ def moved_inverse(transforms: wp.array(dtype=mat34), first: int, steps: int, tim
     """World to object at `time`."""
 
 
+# Out of line, and in a kernel once: where nothing moves they are not called, and most places that ask for a map's time
+# are in scenes where nothing does.
+@wp.func(inline=False)
+def transform_of_keys(transforms: wp.array(dtype=mat34), first: int, steps: int, time: float) -> mat34:
+    """`moved_transform`."""
+    return moved_transform(transforms, first, steps, time)
+
+
+@wp.func(inline=False)
+def inverse_of_keys(transforms: wp.array(dtype=mat34), first: int, steps: int, time: float) -> mat34:
+    """`moved_inverse`."""
+    return moved_inverse(transforms, first, steps, time)
+
+
 @wp.func
 def motion_row(geometry: Geometry, instance: int) -> int:
     """The row of an instance's keys, or -1."""
@@ -87,14 +101,14 @@ def transform_at(geometry: Geometry, instance: int, time: float) -> mat34:
     if row < 0:
         return geometry.instance_transform[instance]
     steps = geometry.instance_mesh[2 * geometry.instance_slot_first.shape[0]]
-    return moved_transform(geometry.instance_transform, _first_key(geometry, row), steps, time)
+    return transform_of_keys(geometry.instance_transform, _first_key(geometry, row), steps, time)
 
 
 @wp.func
 def inverse_at(geometry: Geometry, row: int, time: float) -> mat34:
     """World to object at `time`, of an instance that moves."""
     steps = geometry.instance_mesh[2 * geometry.instance_slot_first.shape[0]]
-    return moved_inverse(geometry.instance_transform, _first_key(geometry, row), steps, time)
+    return inverse_of_keys(geometry.instance_transform, _first_key(geometry, row), steps, time)
 
 
 @wp.struct

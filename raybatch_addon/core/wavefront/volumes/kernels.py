@@ -22,8 +22,8 @@ from .scatter import make_scatter
 from .table import VolumeData
 from .transmit import make_transmit
 
-# Registers of a CUDA thread at most: flights wait for programs, and the more of them wait at once the better. On an H100
-# 0.91 and 0.86 of the time in two files, 1.01 in a third
+# Registers of a CUDA thread at most: flights wait for programs, and the more of them wait at once the better. On an
+# H100 0.91 and 0.86 of the time in two files, 1.01 in a third
 _REGISTERS = 64
 
 
