@@ -65,17 +65,16 @@ def moved_inverse(transforms: wp.array(dtype=mat34), first: int, steps: int, tim
     """World to object at `time`."""
 
 
-# Out of line, and in a kernel once: where nothing moves they are not called, and most places that ask for a map's time
-# are in scenes where nothing does.
+# Out of line, so that a kernel has their code once: it asks for maps in many places, and in most scenes nothing moves.
 @wp.func(inline=False)
-def transform_of_keys(transforms: wp.array(dtype=mat34), first: int, steps: int, time: float) -> mat34:
-    """`moved_transform`."""
+def _transform_apart(transforms: wp.array(dtype=mat34), first: int, steps: int, time: float) -> mat34:
+    """`moved_transform`, out of line."""
     return moved_transform(transforms, first, steps, time)
 
 
 @wp.func(inline=False)
-def inverse_of_keys(transforms: wp.array(dtype=mat34), first: int, steps: int, time: float) -> mat34:
-    """`moved_inverse`."""
+def _inverse_apart(transforms: wp.array(dtype=mat34), first: int, steps: int, time: float) -> mat34:
+    """`moved_inverse`, out of line."""
     return moved_inverse(transforms, first, steps, time)
 
 
@@ -101,14 +100,14 @@ def transform_at(geometry: Geometry, instance: int, time: float) -> mat34:
     if row < 0:
         return geometry.instance_transform[instance]
     steps = geometry.instance_mesh[2 * geometry.instance_slot_first.shape[0]]
-    return transform_of_keys(geometry.instance_transform, _first_key(geometry, row), steps, time)
+    return _transform_apart(geometry.instance_transform, _first_key(geometry, row), steps, time)
 
 
 @wp.func
 def inverse_at(geometry: Geometry, row: int, time: float) -> mat34:
     """World to object at `time`, of an instance that moves."""
     steps = geometry.instance_mesh[2 * geometry.instance_slot_first.shape[0]]
-    return inverse_of_keys(geometry.instance_transform, _first_key(geometry, row), steps, time)
+    return _inverse_apart(geometry.instance_transform, _first_key(geometry, row), steps, time)
 
 
 @wp.struct

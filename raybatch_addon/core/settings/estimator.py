@@ -275,7 +275,11 @@ class EstimatorSettings:
         group="CAUSTICS",
         choices=(
             ("ON", "On", "All of it is rendered"),
-            ("OFF", "Off", "Surfaces that a diffuse ray meets reflect no light sharply. The picture is darker"),
+            (
+                "OFF",
+                "Off",
+                "What a diffuse ray meets reflects no light sharply; glass still lets it through. It is darker",
+            ),
         ),
     )
     caustics_refractive: str = setting(
@@ -285,7 +289,7 @@ class EstimatorSettings:
         group="CAUSTICS",
         choices=(
             ("ON", "On", "All of it is rendered"),
-            ("OFF", "Off", "Glass that a diffuse ray meets lets no light through, and reflects none. It is darker"),
+            ("OFF", "Off", "Glass that a diffuse ray meets lets no light through, and still reflects it. It is darker"),
         ),
     )
 

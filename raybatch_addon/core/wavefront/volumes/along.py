@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from .medium import EXTINCTION, bound_ahead
-from .table import VolumeData
+from .medium import bound_ahead
+from .table import EXTINCTION, VolumeData
 
 # Depths below which 1 - exp(-x) is x (1 - x / 2), to rounding
 _THIN = 1e-3

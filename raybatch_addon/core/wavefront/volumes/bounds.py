@@ -1,8 +1,9 @@
 """Bounds of the extinction of volumes whose coefficients programs give: found before the render, on grids of cells.
 
 A program is evaluated at a point of each octant of a cell, and where grids that it may read are largest in the cell.
-The largest extinction of the cell and of the octants around it counts.
-That is an estimate: where a program exceeds it, the volume is rendered as dense as the bound.
+The largest extinction of the cell and of the octants around it counts, where the volume moves of the cells around it.
+That is an estimate: where a program exceeds it, the volume is rendered as dense as the bound: to shadow rays that of
+the extinction, to paths that of flights, which is larger where there is light.
 """
 
 from __future__ import annotations
@@ -27,9 +28,10 @@ from ...shading.volumes.grids import CUBE_CORNERS, TILE, is_scalar, tiles_of
 from ...shading.volumes.phase import PhaseLobe
 from .medium import LOBES_MOST, PHASE_LOBE_FLOATS, WORLD_REACH, make_medium
 from .segment import ray_point
-from .table import BoundBox, Bounds, BoundWork, VolumeData
+from .table import EXTINCTION, BoundBox, Bounds, BoundWork, VolumeData
 
-# Cells along each axis at most, cells of all volumes together, and points of a cell, one an octant
+# Cells along each axis at most, cells of all volumes together (64 bytes each while they are found, 8 after), and points
+# of a cell, one an octant
 CELLS_MOST, CELLS_TOGETHER = 32, 1 << 20
 CELL_POINTS = 8
 # A volume is taken to be this much denser than at the densest point that was found
@@ -92,9 +94,10 @@ def make_bound(programs: ProgramFeatures, emission: bool = False) -> wp.Function
         points = int(CELL_POINTS)
         more = volumes.asked.places.shape[0] / (volumes.asked.boxes.shape[0] * per_box)
         first = points * (box.first + cell)
+        everywhere = wp.vec2(0.0)  # what counts in all octants: peaks of grids, and what is looked at at one time alone
         for k in range(points + more):
             largest = float(0.0)
-            flights = float(0.0)
+            least = float(0.0)
             place = box.origin + box.edges * (point_of_cell(cell, cells, k) / float(cells))
             if k >= points:
                 place = volumes.asked.places[i * more + k - points]
@@ -115,15 +118,17 @@ def make_bound(programs: ProgramFeatures, emission: bool = False) -> wp.Function
                 for axis in range(3):
                     largest = wp.max(largest, m.extinction[axis])
                     if m.emission[axis] > 0.0:  # it must be met too, however little else is there
-                        flights = box.flights
+                        least = box.least_flights
                 ray += 1
             largest = wp.min(largest, 1.0e18)
-            found = wp.vec2(largest, wp.max(largest, flights))
-            if k < points:
+            found = wp.vec2(largest, wp.max(largest, least))
+            if k < points and box.moving < 0:
                 volumes.asked.found[first + k] = found
-            else:  # it counts wherever in the cell it is
-                for octant in range(points):
-                    volumes.asked.found[first + octant] = wp.max(volumes.asked.found[first + octant], found)
+            else:
+                everywhere = wp.max(everywhere, found)
+        if more > 0 or box.moving >= 0:
+            for octant in range(points):
+                volumes.asked.found[first + octant] = wp.max(volumes.asked.found[first + octant], everywhere)
         if wp.static(emission):
             if volumes.asked.emitted.shape[0] > 0:
                 volumes.asked.emitted[i] = emitted
@@ -180,7 +185,7 @@ def find_bounds(
     boxes["code"] = [1 + each.instance * volumes.volume_count + each.volume for each in bounded]
     boxes["code"][[each.instance < 0 for each in bounded]] = 0
     boxes["moving"] = [each.instance if each.moves else -1 for each in bounded]
-    boxes["first"], boxes["flights"] = np.arange(len(bounded)) * count, 1.0 / edge
+    boxes["first"], boxes["least_flights"] = np.arange(len(bounded)) * count, 1.0 / edge
     inverse = np.linalg.inv(edges) * cells
     grids["to_cells"][:, :, :3], grids["to_cells"][:, :, 3] = inverse, -np.einsum("nij,nj->ni", inverse, origin)
     grids["size"], grids["first"] = cells, boxes["first"]
@@ -288,7 +293,7 @@ def goes_on_beyond(
 
 def largest_of_cells(found: wp.array) -> np.ndarray:
     """The largest extinction of each cell of `BoundWork.found` [1/m], float64."""
-    return found.numpy()[:, 0].reshape(-1, CELL_POINTS).max(1).astype(np.float64)
+    return found.numpy()[:, EXTINCTION].reshape(-1, CELL_POINTS).max(1).astype(np.float64)
 
 
 def _largest_around(octants: np.ndarray) -> np.ndarray:

@@ -17,12 +17,10 @@ from ...scene.program import ProgramFeatures
 from ...shading.bsdf.materials import RECORD_FLOATS, ClosureRecord, address_of, address_of_closure
 from ...shading.volumes.enclosures import FARTHEST
 from ...shading.volumes.phase import PhaseLobe, phase_pdf, phase_value, sampled_cosine
-from .table import INSIDE_MOST, VolumeData, entry
+from .table import FLIGHTS, INSIDE_MOST, VolumeData, entry
 
 # Scattering closures of a point; those beyond them scatter as the last one
 LOBES_MOST = 16
-# What bounds are of: entries of `VolumeData.bounds`
-EXTINCTION, FLIGHTS = wp.constant(0), wp.constant(1)
 PHASE_LOBE_FLOATS = PhaseLobe.numpy_dtype()["itemsize"] // 4
 # Largest coefficient of a closure [1/m]: sums of them are finite
 _DENSEST = 1e18
@@ -162,10 +160,10 @@ def varies_along(volumes: VolumeData, inside: wp.vec4i) -> bool:
 def bound_ahead(
     volumes: VolumeData, inside: wp.vec4i, origin: wp.vec3, direction: wp.vec3, time: float, of: int
 ) -> Reach:
-    """A bound of the extinction ahead of `origin` at `time`: of what programs give an estimate, of constants their sum.
-    `of`: EXTINCTION, or FLIGHTS: where light is emitted there is a flight a cell at least. Along each axis of the cells
-    it is taken to hold as far as the next place that float32 tells from `origin`, which may be cells ahead far from the
-    world's origin.
+    """A bound ahead of `origin` at `time`, `of` the EXTINCTION, or of FLIGHTS, which also meet what emits, a flight a
+    cell at least: of what programs give an estimate, of constants their sum. Along each axis of the cells it is taken
+    to hold as far as the next place that float32 tells from `origin`, which may be cells ahead far from the world's
+    origin.
     """
     reach = Reach()
     emits = bool(False)

@@ -21,6 +21,10 @@ UNLIKE = -2
 PART = 4
 
 
+# What bounds are of: entries of `BoundWork.found` and `VolumeData.bounds`
+EXTINCTION, FLIGHTS = wp.constant(0), wp.constant(1)
+
+
 @wp.struct
 class Bounds:
     """A grid of cells that bound the extinction of one volume whose coefficients a program gives."""
@@ -40,7 +44,7 @@ class BoundBox:
     code: int  # the volume that is looked at, as in `MediaState`; 0: none but that of the world
     moving: int  # the instance that moves; -1: nothing does
     first: int  # of its cells among all
-    flights: float  # flights at least where light is emitted [1/m]
+    least_flights: float  # per length, where light is emitted [1/m]
 
 
 @wp.struct
@@ -51,8 +55,8 @@ class BoundWork:
     cells: int  # along each axis
     rays: int  # kinds of rays that are looked at, see `bounds.py`
     places: wp.array(dtype=wp.vec3)  # where more is looked at: as many points of each cell [m]; or none
-    # result of each octant of a cell: the largest extinction, and that or `BoundBox.flights` where light is emitted
-    # [1/m]
+    # result of each octant of a cell [1/m]: the largest extinction, and that or `BoundBox.least_flights` where light is
+    # emitted
     found: wp.array(dtype=wp.vec2)
     # and, where volumes are emitters: means of emission [W/(m³ sr)] and of its square; or none
     emitted: wp.array(dtype=wp.vec2)

@@ -26,18 +26,8 @@ from ...shading.volumes.numbers import LIT_STREAM, stream_number
 from ...shading.volumes.phase import PhaseLobe
 from .along import Sought, density_by_light, length_by_light
 from .emission.weigh import Seen
-from .medium import (
-    EXTINCTION,
-    FLIGHTS,
-    LOBES_MOST,
-    PHASE_LOBE_FLOATS,
-    Coefficients,
-    bound_ahead,
-    make_medium,
-    may_vary,
-    varies_along,
-)
-from .table import VolumeData
+from .medium import LOBES_MOST, PHASE_LOBE_FLOATS, Coefficients, bound_ahead, make_medium, may_vary, varies_along
+from .table import EXTINCTION, FLIGHTS, VolumeData
 
 # Flights of a path between two rays: longer ways go on with a new ray
 FLIGHTS_MOST = 256

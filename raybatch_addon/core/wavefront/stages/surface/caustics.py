@@ -64,9 +64,7 @@ def make_leave_out_caustics(features: ClosureFeatures, reflective: bool, refract
 
 @wp.func
 def is_half_dark(limits: PathLimits, ray_kind: int) -> bool:
-    """Whether glass reflects alone, or refracts alone, the light that goes on to what a ray of that `Visibility`
-    left.
-    """
+    """Whether glass that a ray of that `Visibility` has met reflects alone, or refracts alone."""
     return ray_kind == wp.static(int(Visibility.DIFFUSE)) and limits.caustics_reflective != limits.caustics_refractive
 
 

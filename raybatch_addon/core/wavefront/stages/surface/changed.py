@@ -1,4 +1,4 @@
-"""Closures that are others to one path than to all: blurred, or half dark."""
+"""Closures as one path has them: blurred by Filter Glossy, or glass without one kind of caustics."""
 
 from __future__ import annotations
 

@@ -1,0 +1,79 @@
+"""Bounds of the cells of a volume: how far what was found in an octant reaches, standing still and moving."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+from raybatch_addon.core.programs.ops.values.math import MathOperation
+from raybatch_addon.core.wavefront.volumes import upload
+from raybatch_addon.core.wavefront.volumes.bounds import CELL_POINTS, CELLS_MOST, Bounded, find_bounds
+from raybatch_addon.core.wavefront.volumes.kernels import launch_bound
+from raybatch_addon.core.wavefront.volumes.table import EXTINCTION, FLIGHTS, VolumeData
+from tests.renders.volumes.test_boundaries import moved
+from tests.renders.volumes.test_bounds import absorbing
+from tests.renders.volumes.test_volumes import assert_mean, in_box, picture
+from tests.support import scenes
+
+MARGIN = 1.1  # of bounds above what was found
+
+
+def bounds_of(found: np.ndarray) -> np.ndarray:
+    """The bounds of a cube for what `found` says, [x, y, z, 2, 2, 2, 2]; shape [x, y, z, 2]."""
+
+    def launch(volumes: VolumeData, _: int) -> None:
+        volumes.asked.found.assign(found.reshape(-1, 2).astype(np.float32))
+
+    cube = Bounded(-1, 0, np.array([[0.0] * 3, [float(CELLS_MOST)] * 3]), np.eye(3, 4))
+    made = find_bounds(VolumeData(), [cube], launch, wp.get_device("cpu"))
+    assert made is not None
+    return made.bounds.numpy().reshape(CELLS_MOST, CELLS_MOST, CELLS_MOST, 2)
+
+
+def test_what_is_in_an_octant_counts_half_a_cell_around():
+    """Against all octants that touch a cell, one by one."""
+    rng = np.random.default_rng(5)
+    shape = (CELLS_MOST,) * 3 + (2, 2, 2, 2)
+    found = np.where(rng.random(shape) < 0.02, rng.random(shape), 0.0)
+    found[..., FLIGHTS] = np.maximum(found[..., FLIGHTS], found[..., EXTINCTION])
+    fine = np.moveaxis(found, (3, 4, 5), (1, 3, 5)).reshape((2 * CELLS_MOST,) * 3 + (2,))
+    bounds = bounds_of(found)
+    for cell in rng.integers(0, CELLS_MOST, (200, 3)).tolist() + [[0, 0, 0], [CELLS_MOST - 1] * 3]:
+        around = tuple(slice(max(2 * i - 1, 0), 2 * i + 3) for i in cell)
+        expected = MARGIN * fine[around].reshape(-1, 2).max(0)
+        np.testing.assert_allclose(bounds[tuple(cell)], expected, rtol=1e-6)
+
+
+@pytest.mark.usefixtures("general_kernels")
+@pytest.mark.parametrize("moves", [False, True])
+def test_what_is_found_at_one_time_counts_in_the_whole_cell(session, monkeypatch, moves):
+    """Each octant of what moves is asked at one time, when another part of the world may be there."""
+    found = []
+
+    def spy(features, volumes, count, device):
+        launch_bound(features, volumes, count, device)
+        found.append(volumes.asked.found.numpy().reshape(-1, CELL_POINTS, 2))
+
+    monkeypatch.setattr(upload, "launch_bound", spy)
+    scene = in_box(absorbing(lambda builder: builder.value("separate_xyz", builder.value("position", 0))[0]))
+    if moves:
+        scene = moved(scene, [(0, 0, 0), (0, 0, 0.5)])
+    picture(session, scene)
+    differ = (found[0] != found[0][:, :1]).any((1, 2))
+    assert len(differ) == CELLS_MOST**3 and differ.any() == (not moves)
+
+
+@pytest.mark.usefixtures("general_kernels")
+def test_what_stays_in_the_world_while_its_volume_moves(session):
+    """A layer of the world, thinner than a cell, in a cube that moves through it by cells along each axis."""
+    sigma, half = 1.5, 0.025
+
+    def density(builder):
+        x = builder.value("separate_xyz", builder.value("position", 0))[0]
+        near = builder.value("math", int(MathOperation.COMPARE), False, x, 0.0, half)
+        return builder.value("math", int(MathOperation.MULTIPLY), False, near, sigma, 0.0)
+
+    view = scenes.camera(eye=(0, -4, 0), target=(0, 0, 0), half_width=0.001)
+    shift = 0.11
+    scene = moved(in_box(absorbing(density), view), [(-shift, 0, -shift), (shift, 0, shift)])
+    # 2 m of the layer at all times
+    assert_mean(session, scene, np.full(3, np.exp(-2 * sigma)), sample_count=256)
