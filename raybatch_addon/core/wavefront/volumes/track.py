@@ -62,6 +62,18 @@ class Track:
 PASSED, SCATTERED, STOPPED = 0, 1, 2
 
 
+@wp.struct
+class Flights:
+    """How far flights along a ray have come."""
+
+    length: float  # from its begin [m]
+    ahead: float  # a point before which they stop once, until it has been passed [m]; infinity: there is none
+    bound: float  # of the extinction where programs are asked next [1/m]; 0: the way has ended, or there were too many
+    collides: bool  # there: a flight has ended, which is not only the point that was ahead
+    number: wp.uint32  # the next number of the stream
+    count: int  # of flights so far
+
+
 @wp.func
 def densest(m: Coefficients, bound: float) -> float:
     """What coefficients are divided by: where a bound is exceeded no light must be gained."""
@@ -93,11 +105,80 @@ def make_shining(programs: ProgramFeatures) -> wp.Function:
 
 
 @functools.cache
+def make_fly(of: int, most: int, stops: bool) -> wp.Function:
+    """Function (volumes, inside: vec4i, begin: vec3, direction: vec3, time: float, length: float, stream: uint32,
+    flown: Flights) -> Flights: further flights along a ray from `begin`, which ends after `length` [m], to the next
+    point at which programs are asked: on a GPU the threads of a warp come there together.
+
+    `of`: bounds as of `bound_ahead`; `most`: flights at most; `stops`: whether there may be a point ahead.
+    """
+
+    @wp.func
+    def fly(
+        volumes: VolumeData,
+        inside: wp.vec4i,
+        begin: wp.vec3,
+        direction: wp.vec3,
+        time: float,
+        length: float,
+        stream: wp.uint32,
+        flown: Flights,
+    ) -> Flights:
+        t = float(flown.length)
+        ahead = float(flown.ahead)
+        number = wp.uint32(flown.number)
+        flights = int(flown.count)
+        bound = float(0.0)
+        collides = bool(False)
+        while t < length and flights < wp.static(most):
+            flights += 1
+            here = begin + t * direction
+            reach = bound_ahead(volumes, inside, here, direction, time, wp.static(of))
+            end = wp.min(t + reach.length, length)
+            # a flight that comes to the point ahead goes on from there as if it had begun there
+            is_ahead = bool(False)
+            if wp.static(stops):
+                is_ahead = ahead >= t and ahead < end
+                if is_ahead:
+                    end = ahead
+            flight = float(wp.inf)
+            if reach.bound > 0.0:
+                flight = -wp.log(1.0 - stream_number(stream, number)) / reach.bound
+            number += wp.uint32(1)
+            if t + flight < end:
+                t += wp.max(flight, wp.static(_LENGTH_LEAST))
+                bound = reach.bound
+                collides = True
+                break
+            if not (end > t or is_ahead):  # the steps that are left are smaller than the distance can tell: it ends
+                t = length
+                break
+            t = end
+            if wp.static(stops):
+                if is_ahead:
+                    ahead = wp.inf
+                    if reach.bound > 0.0:
+                        bound = reach.bound
+                        break
+        now = Flights()
+        now.length = t
+        now.ahead = ahead
+        now.bound = bound
+        now.collides = collides
+        now.number = number
+        now.count = flights
+        return now
+
+    return fly
+
+
+@functools.cache
 def make_transmitted(programs: ProgramFeatures) -> wp.Function:
     """Function (volumes, inside: vec4i, point: ShadingPoint, length: float, stream: uint32) -> vec3: an estimate of the
     share of light that passes `length` [m] from `point` on, against `point.incoming`.
     """
     medium = make_medium(programs)
+    fly = make_fly(EXTINCTION, _SHADOW_FLIGHTS_MOST, stops=False)
 
     @wp.func
     def transmitted(
@@ -108,33 +189,14 @@ def make_transmitted(programs: ProgramFeatures) -> wp.Function:
         direction = -point.incoming
         begin = point.position
         share = wp.vec3(1.0)
-        t = float(0.0)
-        number = wp.uint32(0)
-        flights = int(0)
-        while t < length and flights < wp.static(_SHADOW_FLIGHTS_MOST):
-            # flights to the next point at which programs are asked: on a GPU the threads of a warp come there together
-            bound = float(0.0)
-            while t < length and flights < wp.static(_SHADOW_FLIGHTS_MOST):
-                flights += 1
-                here = begin + t * direction
-                reach = bound_ahead(volumes, inside, here, direction, point.time, EXTINCTION)
-                end = wp.min(t + reach.length, length)
-                flight = float(wp.inf)
-                if reach.bound > 0.0:
-                    flight = -wp.log(1.0 - stream_number(stream, number)) / reach.bound
-                number += wp.uint32(1)
-                if t + flight < end:
-                    t += wp.max(flight, wp.static(_LENGTH_LEAST))
-                    bound = reach.bound
-                    break
-                if not end > t:  # the steps that are left are smaller than the distance can tell
-                    break
-                t = end
-            if not bound > 0.0:
+        flown = Flights()
+        while flown.length < length:
+            flown = fly(volumes, inside, begin, direction, point.time, length, stream, flown)
+            if not flown.bound > 0.0:
                 break
-            point.position = begin + t * direction
+            point.position = begin + flown.length * direction
             m = medium(volumes, inside, point, lobes)
-            most = densest(m, bound)
+            most = densest(m, flown.bound)
             for axis in range(3):
                 share[axis] = share[axis] * wp.max(1.0 - m.extinction[axis] / most, 0.0)
             largest = wp.max(share[0], wp.max(share[1], share[2]))
@@ -142,10 +204,10 @@ def make_transmitted(programs: ProgramFeatures) -> wp.Function:
                 return wp.vec3(0.0)
             if largest < wp.static(_ROULETTE_BELOW):
                 survival = largest / wp.static(_ROULETTE_BELOW)
-                if stream_number(stream, number) >= survival:
+                if stream_number(stream, flown.number) >= survival:
                     return wp.vec3(0.0)
                 share = share / survival
-                number += wp.uint32(1)
+                flown.number += wp.uint32(1)
         return share
 
     return transmitted
@@ -179,6 +241,7 @@ def make_track(programs: ProgramFeatures, weighed: wp.Function | None = None) ->
     for.
     """
     medium = make_medium(programs)
+    fly = make_fly(FLIGHTS, FLIGHTS_MOST, stops=True)
 
     @wp.func
     def track(
@@ -203,70 +266,39 @@ def make_track(programs: ProgramFeatures, weighed: wp.Function | None = None) ->
         seeks = sought.seeks != 0
         lit_stream = mix_bits(stream + wp.uint32(wp.static(LIT_STREAM)))
         searches = seeks and sought.last > sought.first
-        ahead = float(wp.inf)  # the point that is sought, until it has been passed [m]
+        flown = Flights()
+        flown.ahead = wp.inf
         if searches:
-            ahead = _sought_length(sought, stream_number(lit_stream, wp.uint32(0)))
+            flown.ahead = _sought_length(sought, stream_number(lit_stream, wp.uint32(0)))
         expected = float(0.0)  # of all points so far
-        t = float(0.0)
-        number = wp.uint32(0)
-        flights = int(0)
-        while t < length:
-            # flights to the next point at which programs are asked: on a GPU the threads of a warp come there together
-            bound = float(0.0)
-            collides = bool(False)
-            while t < length:
-                if flights >= wp.static(FLIGHTS_MOST):
+        while flown.length < length:
+            flown = fly(volumes, inside, begin, direction, point.time, length, stream, flown)
+            if not flown.bound > 0.0:
+                if flown.length < length:
                     way.event = wp.static(STOPPED)
-                    way.length = t
-                    break
-                flights += 1
-                here = begin + t * direction
-                reach = bound_ahead(volumes, inside, here, direction, point.time, FLIGHTS)
-                end = wp.min(t + reach.length, length)
-                # a flight that comes to the point that is sought goes on from there as if it had begun there
-                is_ahead = ahead >= t and ahead < end
-                if is_ahead:
-                    end = ahead
-                flight = float(wp.inf)
-                if reach.bound > 0.0:
-                    flight = -wp.log(1.0 - stream_number(stream, number)) / reach.bound
-                number += wp.uint32(1)
-                if t + flight < end:
-                    t += wp.max(flight, wp.static(_LENGTH_LEAST))
-                    bound = reach.bound
-                    collides = True
-                    break
-                if not (end > t or is_ahead):
-                    break
-                t = end
-                if is_ahead:
-                    ahead = wp.inf
-                    if reach.bound > 0.0:
-                        bound = reach.bound
-                        break
-            if not bound > 0.0:
+                    way.length = flown.length
                 break
-            point.position = begin + t * direction
+            point.position = begin + flown.length * direction
             m = medium(volumes, inside, point, lobes)
             carried = wp.cw_mul(throughput, way.weight)
-            most = densest(m, bound)
+            most = densest(m, flown.bound)
             scattered = m.scattering / most
             if seeks and m.lobes > 0:
                 share = float(1.0)
                 worth = float(1.0)
                 if searches:
-                    density = _sought_density(sought, t)
-                    share = bound / (bound + density)
+                    density = _sought_density(sought, flown.length)
+                    share = flown.bound / (flown.bound + density)
                     worth = 1.0 + density * (sought.last - sought.first)
                 value = share * worth * wp.dot(carried, scattered)
                 expected += value
-                if stream_number(lit_stream, number) * expected < value:
-                    way.lit.length = t
+                if stream_number(lit_stream, flown.number) * expected < value:
+                    way.lit.length = flown.length
                     way.lit.weight = share * wp.cw_mul(way.weight, scattered) / value
                     way.lit.medium = m
                     for k in range(m.lobes):
                         lit_lobes[k] = lobes[k]
-            if collides:
+            if flown.collides:
                 emission = m.emission
                 if wp.static(weighed is not None):
                     emission = weighed(volumes, table, seen, inside, point, emission)
@@ -279,24 +311,24 @@ def make_track(programs: ProgramFeatures, weighed: wp.Function | None = None) ->
                 chance = float(0.0)
                 if scatters and total > 0.0:
                     chance = likely / total
-                if stream_number(stream, number) < chance:
+                if stream_number(stream, flown.number) < chance:
                     way.weight = wp.cw_mul(way.weight, scattered) / chance
                     way.event = wp.static(SCATTERED)
-                    way.length = t
+                    way.length = flown.length
                     way.medium = m
                     break
                 way.weight = wp.cw_mul(way.weight, null) / (1.0 - chance)
-                number += wp.uint32(1)
+                flown.number += wp.uint32(1)
                 largest = wp.max(way.weight[0], wp.max(way.weight[1], way.weight[2]))
                 if not largest > 0.0:
                     break
                 if largest < wp.static(_ROULETTE_BELOW):
                     survival = largest / wp.static(_ROULETTE_BELOW)
-                    if stream_number(stream, number) >= survival:
+                    if stream_number(stream, flown.number) >= survival:
                         way.weight = wp.vec3(0.0)
                         break
                     way.weight = way.weight / survival
-                    number += wp.uint32(1)
+                    flown.number += wp.uint32(1)
         way.lit.weight = expected * way.lit.weight
         return way
 
