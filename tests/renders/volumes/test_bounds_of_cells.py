@@ -64,16 +64,19 @@ def test_what_is_found_at_one_time_counts_in_the_whole_cell(session, monkeypatch
 
 @pytest.mark.usefixtures("general_kernels")
 def test_what_stays_in_the_world_while_its_volume_moves(session):
-    """A layer of the world, thinner than a cell, in a cube that moves through it by cells along each axis."""
-    sigma, half = 1.5, 0.025
+    """A layer of the world, thinner than half a cell, in a cube that stands still, goes on by one cell, and stands
+    still again. The layer is always in the lower half of a cell: what is asked there is asked in the first half of
+    the time, so that its second cell is known by its first alone.
+    """
+    sigma, cell = 1.5, 2.0 / CELLS_MOST
 
     def density(builder):
         x = builder.value("separate_xyz", builder.value("position", 0))[0]
-        near = builder.value("math", int(MathOperation.COMPARE), False, x, 0.0, half)
+        near = builder.value("math", int(MathOperation.COMPARE), False, x, 0.0, 0.2 * cell)
         return builder.value("math", int(MathOperation.MULTIPLY), False, near, sigma, 0.0)
 
     view = scenes.camera(eye=(0, -4, 0), target=(0, 0, 0), half_width=0.001)
-    shift = 0.11
-    scene = moved(in_box(absorbing(density), view), [(-shift, 0, -shift), (shift, 0, shift)])
+    places = [-0.25 * cell] * (CELL_POINTS // 2) + [-1.25 * cell] * (CELL_POINTS // 2)
+    scene = moved(in_box(absorbing(density), view), [(x, 0, 0) for x in places])
     # 2 m of the layer at all times
     assert_mean(session, scene, np.full(3, np.exp(-2 * sigma)), sample_count=256)
