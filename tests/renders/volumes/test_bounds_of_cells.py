@@ -1,17 +1,23 @@
-"""Bounds of the cells of a volume: how far what was found in an octant reaches, standing still and moving."""
+"""Bounds of the cells of a volume: how far what was found in an octant reaches, standing still and moving, and which
+of them are of the extinction alone.
+"""
+
+import dataclasses
 
 import numpy as np
 import pytest
 import warp as wp
 
+from raybatch_addon.core.programs.builder import ProgramBuilder
 from raybatch_addon.core.programs.ops.values.math import MathOperation
+from raybatch_addon.core.scene.description import Frame, Volume
 from raybatch_addon.core.wavefront.volumes import upload
 from raybatch_addon.core.wavefront.volumes.bounds import CELL_POINTS, CELLS_MOST, Bounded, find_bounds
 from raybatch_addon.core.wavefront.volumes.kernels import launch_bound
 from raybatch_addon.core.wavefront.volumes.table import EXTINCTION, FLIGHTS, VolumeData
 from tests.renders.volumes.test_boundaries import moved
 from tests.renders.volumes.test_bounds import absorbing
-from tests.renders.volumes.test_volumes import assert_mean, in_box, picture
+from tests.renders.volumes.test_volumes import assert_mean, filled, in_box, medium, picture
 from tests.support import scenes
 
 MARGIN = 1.1  # of bounds above what was found
@@ -80,3 +86,32 @@ def test_what_stays_in_the_world_while_its_volume_moves(session):
     scene = moved(in_box(absorbing(density), view), [(x, 0, 0) for x in places])
     # 2 m of the layer at all times
     assert_mean(session, scene, np.full(3, np.exp(-2 * sigma)), sample_count=256)
+
+
+@pytest.mark.usefixtures("general_kernels")
+def test_shadow_rays_ask_nothing_where_there_is_only_emission(session, monkeypatch):
+    """A volume between a floor and the sun emits, and is dense for shadow rays, of which its bounds are not told: that
+    shadow rays lose no light there shows that none of them has asked its program.
+    """
+
+    def emitting(density):
+        builder = ProgramBuilder()
+        is_shadow = builder.value("light_path")[1]
+        for_shadows = builder.value("math", int(MathOperation.MULTIPLY), False, is_shadow, density, 0.0)
+        builder.closure("volume_absorption", builder.value("splat", for_shadows))
+        builder.closure("emission", (1e-3,) * 3)
+        return Volume(program=builder.finish())
+
+    def floor_below(density):
+        floor = scenes.plane(size=4), scenes.translation(0, 0, -1.5), scenes.diffuse(0.8)
+        boxed = scenes.box(), scenes.IDENTITY, filled(emitting(density))
+        view = scenes.camera(eye=(0.03, -6, -1.4), target=(0.03, 0, -1.5), half_width=0.0001)
+        made = scenes.scene([boxed, floor], world=0.0, frame=Frame(4, 4), view=view, lights=[scenes.sun(1.0)])
+        return dataclasses.replace(made, lights=(*made.lights, *in_box(medium(1.0)).lights[1:]))
+
+    once = dict(sample_count=4, bounce_max=0)
+    clear, told = (picture(session, floor_below(density), **once) for density in (0.0, 2.0))
+    monkeypatch.setattr(upload, "RAYS", 1)
+    untold = picture(session, floor_below(3.0), **once)  # of another density, so that its bounds are found anew
+    assert told.mean() < 0.5 * clear.mean()
+    np.testing.assert_array_equal(untold, clear)
