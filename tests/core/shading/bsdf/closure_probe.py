@@ -8,6 +8,7 @@ import warp as wp
 
 from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.scene.description import Closure, ClosureKind, Material
+from raybatch_addon.core.shading.bsdf.albedo import AlbedoTables
 from raybatch_addon.core.shading.bsdf.bsdf import (
     DELTA,
     LOBE_FLOATS,
@@ -19,7 +20,10 @@ from raybatch_addon.core.shading.bsdf.bsdf import (
     upload_materials,
 )
 from raybatch_addon.core.shading.bsdf.ggx import ALPHA_MIN
-from raybatch_addon.core.shading.bsdf.materials import address_of
+from raybatch_addon.core.shading.bsdf.materials import RECORD_FLOATS, BsdfSample, ClosureRecord, address_of
+from raybatch_addon.core.shading.bsdf.mixture import Mixture
+from raybatch_addon.core.wavefront.stages.limits import PathLimits
+from raybatch_addon.core.wavefront.stages.surface.caustics import darken_glass
 from tests.support.under_test import DEVICE
 
 K = ClosureKind
@@ -31,10 +35,62 @@ MOST = 32  # closures of a material here at most
 SMOOTH = 0.9 * ALPHA_MIN**0.5  # roughness of a delta lobe
 
 
+def halved(bsdf, half):
+    """The functions of `bsdf` for glass that reflects alone or refracts alone, `half` saying which, as a path gets it
+    once the closures have been looked at.
+    """
+
+    @wp.func
+    def halve(closures: wp.array(dtype=ClosureRecord), first: int, end: int, own: wp.array(dtype=ClosureRecord)):
+        for c in range(first, end):
+            own[c - first] = closures[c]
+        limits = PathLimits()
+        limits.caustics_reflective = wp.static(int(half == "REFLECTS"))
+        limits.caustics_refractive = wp.static(int(half == "REFRACTS"))
+        darken_glass(limits, own, end - first)
+
+    @wp.func
+    def mix(
+        closures: wp.array(dtype=ClosureRecord),
+        first: int,
+        end: int,
+        lobes: wp.array(dtype=Lobe),
+        albedo: AlbedoTables,
+        frame: ShadingFrame,
+        wo: wp.vec3,
+        wi: wp.vec3,
+    ) -> Mixture:
+        records = wp.zeros(wp.static(MOST * RECORD_FLOATS), dtype=float)
+        own = wp.array(ptr=address_of(records), shape=(wp.static(MOST),), dtype=ClosureRecord)
+        halve(closures, first, end, own)
+        return bsdf.mix(own, 0, end - first, lobes, albedo, frame, wo, wi)
+
+    @wp.func
+    def propose(
+        closures: wp.array(dtype=ClosureRecord),
+        first: int,
+        end: int,
+        lobes: wp.array(dtype=Lobe),
+        albedo: AlbedoTables,
+        frame: ShadingFrame,
+        wo: wp.vec3,
+        u_lobe: float,
+        u: wp.vec2,
+    ) -> BsdfSample:
+        records = wp.zeros(wp.static(MOST * RECORD_FLOATS), dtype=float)
+        own = wp.array(ptr=address_of(records), shape=(wp.static(MOST),), dtype=ClosureRecord)
+        halve(closures, first, end, own)
+        return bsdf.propose(own, 0, end - first, lobes, albedo, frame, wo, u_lobe, u)
+
+    return bsdf._replace(mix=mix, propose=propose)
+
+
 @functools.cache
-def kernels(features):
-    """Kernels that evaluate and sample many directions at once."""
+def kernels(features, half=""):
+    """Kernels that evaluate and sample many directions at once; `half`: as of `halved`, or nothing."""
     bsdf = make_bsdf(features)
+    if half:
+        bsdf = halved(bsdf, half)
 
     @wp.kernel(**KERNEL_OPTIONS)
     def evaluate(
@@ -128,25 +184,25 @@ def vectors(values, count, device=DEVICE):
     return wp.array(np.broadcast_to(np.asarray(values, np.float32), (count, 3)).copy(), dtype=wp.vec3, device=device)
 
 
-def evaluate(closures, wo, wi, frame=None, features=EVERYTHING, device=DEVICE):
+def evaluate(closures, wo, wi, frame=None, features=EVERYTHING, device=DEVICE, half=""):
     """Values: value [n, 3], pdf [n]."""
     wi = np.atleast_2d(wi)
     count = len(wi)
     out = [wp.zeros(count, dtype=wp.vec3, device=device), wp.zeros(count, dtype=float, device=device)]
     table = table_of(*closures, features=features, device=device)
     arrays = [vectors(wo, count, device), vectors(wi, count, device)]
-    launch(kernels(features).evaluate, count, [table, frame or frame_of(), *arrays], out, device)
+    launch(kernels(features, half).evaluate, count, [table, frame or frame_of(), *arrays], out, device)
     return [array.numpy().astype(np.float64) for array in out]
 
 
-def sample(closures, wo, count, frame=None, features=EVERYTHING, seed=0, u=None, device=DEVICE):
+def sample(closures, wo, count, frame=None, features=EVERYTHING, seed=0, u=None, device=DEVICE, half=""):
     """Samples: direction [n, 3], weight [n, 3], pdf [n], lobe [n], for stratified random numbers."""
     u = stratified(count, seed) if u is None else u
     count = len(u)
     out = [wp.zeros(count, dtype=dtype, device=device) for dtype in (wp.vec3, wp.vec3, float, int)]
     table = table_of(*closures, features=features, device=device)
     arrays = [vectors(wo, count, device), vectors(u, count, device)]
-    launch(kernels(features).sample, count, [table, frame or frame_of(), *arrays], out, device)
+    launch(kernels(features, half).sample, count, [table, frame or frame_of(), *arrays], out, device)
     return [array.numpy().astype(np.float64 if i < 3 else np.int64) for i, array in enumerate(out)]
 
 
