@@ -33,19 +33,20 @@ def make_change(kinds: ClosureFeatures, filter_glossy: bool) -> wp.Function:
         end: int,
         own: wp.array(dtype=ClosureRecord),
     ) -> bool:
-        blurs = bool(False)
+        least_alpha = float(0.0)  # 0 where a path has not scattered yet, or only by likely directions
         if wp.static(filter_glossy):
-            blurs = paths.least_density.shape[0] > 0 and limits.filter_glossy > 0.0
+            if bounce > 0 and paths.least_density.shape[0] > 0 and limits.filter_glossy > 0.0:
+                least_alpha = blur_alpha(limits.filter_glossy, paths.least_density[path])
         darkens = bool(False)
         if wp.static(kinds.half_glass):
             darkens = is_half_dark(limits, visibility_of(status))
-        if not (blurs or darkens):
+        if not (least_alpha > 0.0 or darkens):
             return False
         for c in range(first, end):
             own[c - first] = closures[c]
         if wp.static(filter_glossy):
-            if blurs and bounce > 0:
-                blur(own, end - first, blur_alpha(limits.filter_glossy, paths.least_density[path]))
+            if least_alpha > 0.0:
+                blur(own, end - first, least_alpha)
         if wp.static(kinds.half_glass):
             if darkens:
                 darken_glass(limits, own, end - first)
