@@ -30,9 +30,9 @@ from .medium import LOBES_MOST, PHASE_LOBE_FLOATS, WORLD_REACH, make_medium
 from .segment import ray_point
 from .table import EXTINCTION, BoundBox, Bounds, BoundWork, VolumeData
 
-# Cells along each axis at most, cells of all volumes together (64 bytes each while they are found, 8 after), and points
-# of a cell, one an octant
-CELLS_MOST, CELLS_TOGETHER = 32, 1 << 20
+# Cells along each axis at most, cells of all volumes together (8 bytes each), those that a launch finds (64 bytes each
+# meanwhile), and points of a cell, one an octant
+CELLS_MOST, CELLS_TOGETHER, CELLS_AT_ONCE = 32, 1 << 20, 1 << 18
 CELL_POINTS = 8
 # A volume is taken to be this much denser than at the densest point that was found
 _MARGIN = 1.1
@@ -167,7 +167,6 @@ def find_bounds(
         return None
     cells = int(np.clip((CELLS_TOGETHER / len(bounded)) ** (1 / 3), 1, CELLS_MOST))
     count = cells**3
-    found = wp.zeros(len(bounded) * count * CELL_POINTS, dtype=wp.vec2, device=device)
     grids = np.zeros(len(bounded), Bounds.numpy_dtype())
     boxes = np.zeros(len(bounded), BoundBox.numpy_dtype())
     low = np.stack([each.box[0] for each in bounded])
@@ -185,10 +184,10 @@ def find_bounds(
     boxes["code"] = [1 + each.instance * volumes.volume_count + each.volume for each in bounded]
     boxes["code"][[each.instance < 0 for each in bounded]] = 0
     boxes["moving"] = [each.instance if each.moves else -1 for each in bounded]
-    boxes["first"], boxes["least_flights"] = np.arange(len(bounded)) * count, 1.0 / edge
+    boxes["least_flights"] = 1.0 / edge
     inverse = np.linalg.inv(edges) * cells
     grids["to_cells"][:, :, :3], grids["to_cells"][:, :, 3] = inverse, -np.einsum("nij,nj->ni", inverse, origin)
-    grids["size"], grids["first"] = cells, boxes["first"]
+    grids["size"], grids["first"] = cells, np.arange(len(bounded)) * count
     most = _FLIGHTS_MOST / edge
     peaks: dict[int, np.ndarray] = {}  # by identity of the mesh
     world = volumes.world
@@ -196,10 +195,19 @@ def find_bounds(
     for number, each in enumerate(bounded):
         grid_count = 0 if each.mesh is None else len(each.mesh.grids)
         alike.setdefault((each.instance < 0, grid_count), []).append(number)
-    for (is_world, grid_count), together in alike.items():
+    at_once = max(CELLS_AT_ONCE // count, 1)
+    launches = [
+        (*what, numbers[first : first + at_once])
+        for what, numbers in alike.items()
+        for first in range(0, len(numbers), at_once)
+    ]
+    around = np.zeros((len(bounded), cells, cells, cells, 2), np.float32)
+    for is_world, grid_count, together in launches:
         volumes.world = world if is_world else -1  # each alone
+        boxes["first"][together] = np.arange(len(together)) * count
         asked = BoundWork()
-        asked.cells, asked.rays, asked.found = cells, rays, found
+        asked.cells, asked.rays = cells, rays
+        asked.found = wp.zeros(len(together) * count * CELL_POINTS, dtype=wp.vec2, device=device)
         asked.boxes = wp.array(boxes[together], dtype=BoundBox, device=device)
         if grid_count:
             places = []
@@ -213,11 +221,11 @@ def find_bounds(
             asked.places = wp.array(np.concatenate(places), dtype=wp.vec3, device=device)
         volumes.asked = asked
         launch(volumes, len(together) * count)
-    volumes.asked = BoundWork()
+        shape = len(together), cells, cells, cells, 2, 2, 2, 2
+        around[together] = [_largest_around(each) for each in asked.found.numpy().reshape(shape)]
+        volumes.asked = asked = BoundWork()  # before the next one takes memory
     volumes.world = world
-    octants = found.numpy().reshape(len(bounded), cells, cells, cells, 2, 2, 2, 2)
-    denser = octants.reshape(len(bounded), -1).max(1) > most
-    around = np.stack([_largest_around(each) for each in octants])
+    denser = around.reshape(len(bounded), -1).max(1) > most
     numbers = np.minimum(_MARGIN * around, most[:, None, None, None, None])
     return FoundBounds(
         grids=wp.array(grids, dtype=Bounds, device=device),
