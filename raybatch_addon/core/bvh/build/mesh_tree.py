@@ -16,6 +16,7 @@ import warp as wp
 from ...device.devices import free_memory
 from ...scene.flatten import FlatGeometry
 from ...scene.geometry import Geometry
+from ..memory import COPY_BYTES, NODES_OVER_TIME
 from ..node import TRIANGLES_MAX_QUANTISED, VECTOR_BYTES, Layout
 from .binary import BuildOptions
 from .collapse import collapse_mesh
@@ -31,8 +32,6 @@ from .time_ranges import vertices_between
 # A refitted tree is built anew when it costs rays so many times the least that it did (Wald, Boulos and Shirley
 # 2007 find 1.5 to 2 usual; but a build takes as long as some thirty refits, and a frame's rays mostly longer)
 SAH_GROWTH_MAX = 1.4
-# Nodes of a tree for ranges of time take at most so many times the memory of its triangles at further steps
-NODES_OVER_TIME = 2
 
 
 class MeshPart(NamedTuple):
@@ -134,13 +133,12 @@ class MeshTrees:
         return made
 
     def over_time(self, mesh: MeshTree) -> list[MeshRanges]:
-        """As `MeshTree.over_time`, all with their nodes."""
-        whole = mesh.as_ranges()
-        if not mesh.step_units:
-            return [whole]
-        step = mesh.step_units * self.layout.triangle_words // 4
-        room = min(NODES_OVER_TIME * (mesh.triangles.size - step), free_memory(mesh.nodes.device) // (4 * VECTOR_BYTES))
-        return worthwhile(whole, room // mesh.nodes.size, lambda count: self.in_ranges(mesh, count))
+        """`MeshTree.over_time` of a tree whose vertices move, all with their nodes."""
+        further = len(self._flat.motion.steps[mesh.part.mesh][0]) - 1
+        room = NODES_OVER_TIME * COPY_BYTES[self.layout] * further * mesh.part.triangle_count
+        room = min(room, free_memory(self._device) // 4)
+        most = room // (mesh.nodes.size * VECTOR_BYTES)
+        return worthwhile(mesh.as_ranges(), most, lambda count: self.in_ranges(mesh, count))
 
     def in_ranges(self, mesh: MeshTree, count: int) -> MeshRanges:
         """The nodes of a tree whose vertices move, for each of `count` ranges of time."""
@@ -152,6 +150,8 @@ class MeshTrees:
             corners = vertices_between(steps, first, last)
             if not segments:
                 return corners, own
+            for mixed in (corners := [each.copy() for each in corners]):
+                mixed[own[:, 2]] = positions[own[:, 2]]  # words, which are no positions
             boxed, triangles = stand_ins(positions, own, np.stack(corners))
             return [boxed], triangles
 

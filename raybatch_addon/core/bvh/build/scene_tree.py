@@ -41,7 +41,8 @@ class BuiltTree:
     splits_planned: bool  # whether it was built for a render that splits triangles; those that moved since are whole
     meshes: list[MeshTree] = field(repr=False)  # their blocks are parts of the tree's arrays
     box: np.ndarray | None = None  # two corners that hold all surfaces [m], float64, shape [2, 3]
-    range_count: int | None = None  # as for `build_scene_tree`
+    range_count: int | None = None  # as for `build_scene_tree`, and so is the next
+    mesh_ranges: bool = True
     entry_mesh: np.ndarray | None = field(default=None, repr=False)  # by entry of the tree, index in `meshes`
     # first nodes of the top levels of all ranges of time among these, then their count
     top_first: list[int] = field(default_factory=lambda: [0])
@@ -72,6 +73,7 @@ def build_scene_tree(
     splits_moving: bool = False,
     on_device: bool | None = None,
     range_count: int | None = None,
+    mesh_ranges: bool = True,
 ) -> BuiltTree:
     """Build all trees of `flat`, whose arrays are on `device` as `geometry`.
 
@@ -85,6 +87,7 @@ def build_scene_tree(
         on_device: as for `MeshTrees`.
         range_count: ranges of time that have a top level each, a power of two, where something moves; None: as many as
             pay.
+        mesh_ranges: have nodes for these ranges in trees of meshes whose vertices move; trees that are cut use none.
 
     Raises `OutOfMemoryError` where the trees do not fit.
     """
@@ -97,6 +100,7 @@ def build_scene_tree(
         splits_moving=splits_moving,
         splits_planned=spatial_splits,
         range_count=range_count,
+        mesh_ranges=mesh_ranges,
         meshes=[trees.build(part) for part in mesh_parts(flat)],
     )
     _assemble(built, trees, flat, entries_of(flat, visibility), device, fresh=True)
@@ -262,7 +266,7 @@ def _range_count(built: BuiltTree, trees: MeshTrees, times: OverTime) -> int:
     if built.range_count == 1 or not (built.range_count or times.may_pay()):
         return 1
     for i, mesh in enumerate(built.meshes):
-        if mesh.step_units:
+        if mesh.step_units and built.mesh_ranges:
             mesh.over_time = mesh.over_time or trees.over_time(mesh)
             times.meshes[i] = mesh.over_time
     return built.range_count or times.count()
@@ -336,9 +340,10 @@ def _description(built: BuiltTree, top_count: int) -> dict[str, Any]:
         "trees": len(meshes),
         "entries": tree.entry_count,
         "triangles": sum(mesh.part.triangle_count for mesh in meshes),
-        "nodes": sum(mesh.node_count for mesh in meshes) + top_count,
+        "nodes": sum(mesh.node_count * (1 + (mesh.ranges.count if mesh.ranges else 0)) for mesh in meshes) + top_count,
         "bytes": (tree.nodes.size + tree.triangles.size) * VECTOR_BYTES,
         "depth": max(mesh.depth for mesh in meshes),
         "sah": round(costly.sah, 4),
         "sah_built": round(costly.sah_built, 4),
+        **({"time_ranges": tree.top_ranges} if tree.motion_steps else {}),
     }

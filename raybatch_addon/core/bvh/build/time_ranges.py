@@ -45,6 +45,7 @@ def vertices_between(steps: np.ndarray, first: float, last: float) -> list[np.nd
         if share in (0, 1):
             found.append(behind if share else before)
             continue
-        mixed = before + share * (behind - before)
+        with np.errstate(invalid="ignore", over="ignore"):  # of segments of curves some are no positions
+            mixed = before + share * (behind - before)
         found.append(np.clip(mixed, np.minimum(before, behind), np.maximum(before, behind)))
     return found

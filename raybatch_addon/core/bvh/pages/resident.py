@@ -36,15 +36,20 @@ class Resident:
 
 
 def place_resident(
-    tables: PageTables, flat: FlatGeometry, visibility: np.ndarray, layout: Layout, device: wp.Device
+    tables: PageTables, flat: FlatGeometry, visibility: np.ndarray, layout: Layout, device: wp.Device, room: int = 0
 ) -> Resident:
-    """Everything on `device` but pages; `visibility` as for `entries_of`."""
+    """Everything on `device` but pages; `visibility` as for `entries_of`.
+
+    `room`: what the top level may take where it has several ranges of time [bytes]; it has one where that is too
+    little.
+    """
     entries = chunk_entries(flat, visibility, tables.chunk_first, tables.baked)
-    # chunks have no nodes for ranges of time, and what their trees cost is not known
-    chunks = len(tables.chunk_box)
-    times = OverTime(entries, tables.chunk_box, np.zeros(chunks), np.zeros(chunks, bool))
-    count = times.count()
+    # trees of chunks have no nodes for ranges of time
+    times = OverTime(entries, tables.chunk_box, tables.chunk_sah, np.zeros(len(tables.chunk_box), bool))
+    count = times.count() if room else 1
     top = build_top_level(entries, [times.boxes(k, count) for k in range(count)], layout, device)
+    if count > 1 and VECTOR_BYTES * top.nodes.size + 4 * top.order.size > room:
+        top = build_top_level(entries, [times.whole], layout, device)
     top_words = top.nodes.numpy().view(layout.node_type).reshape(-1, layout.node_words)
     node_count = len(tables.top_nodes)
     tree = Tree()
