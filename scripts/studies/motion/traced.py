@@ -27,10 +27,7 @@ class Traced:
     """What rays met, and the sums of what that took."""
 
     t: np.ndarray
-    instance: np.ndarray
-    primitive: np.ndarray
     nodes: int
-    boxes: int
     triangles: int
     seconds: float  # the least of some runs
 
@@ -71,6 +68,9 @@ def trace(built: BuiltTree, aimed: AimedRays, device: wp.Device, runs: int = 3) 
         return (time.process_time() if device.is_cpu else time.perf_counter()) - start
 
     run(True)
-    found = [getattr(rays, name).numpy().copy() for name in ("hit_t", "hit_instance", "hit_primitive")]
-    sums = [int(getattr(counts, name).numpy().sum()) for name in ("node_steps", "box_tests", "triangle_tests")]
-    return Traced(*found, *sums, min(run(False) for _ in range(runs)) if runs else 0.0)
+    return Traced(
+        t=rays.hit_t.numpy().copy(),
+        nodes=int(counts.node_steps.numpy().sum()),
+        triangles=int(counts.triangle_tests.numpy().sum()),
+        seconds=min(run(False) for _ in range(runs)) if runs else 0.0,
+    )

@@ -54,6 +54,7 @@ def measure(case: Case, turn: int, bench: Bench) -> Row:
     scene = bench.scene(name, lambda: SCENES[name](options.quick))
     count = options.pick(2000, 1_000_000 if options.is_cuda else 20_000)
     whole = built_tree(scene, device, 1)
+    assert whole.box is not None, "the box of a tree"
     rays = aimed_rays(whole.box, count)
     if way.endswith("walked"):
         return _walked(way, whole, rays, trace(whole, rays, device, runs=0))
@@ -96,6 +97,7 @@ def _walked(way: str, built: BuiltTree, rays: AimedRays, met: Traced) -> Row:
     ray, entry = np.repeat(ray, several), order[ranges(first, several)]
     nodes, triangles = visits, 0
     moved, turned = _maps_of(built, rays, ray, entry)
+    assert built.entry_mesh is not None, "the meshes of entries"
     for mesh in range(len(built.meshes)):
         some = np.flatnonzero(built.entry_mesh[entry] == mesh)
         made, held = mesh_nodes(built, mesh)
@@ -111,7 +113,7 @@ def _walked(way: str, built: BuiltTree, rays: AimedRays, met: Traced) -> Row:
 def _top_nodes(way: str, built: BuiltTree) -> tuple[Nodes, np.ndarray, np.ndarray]:
     """The top level, and what its leaves list: first and count of each in an array, then that."""
     if way.startswith("split"):
-        entries = np.arange(len(built.entry_mesh))
+        entries = np.arange(built.tree.entry_count)
         return split_in_time(built), np.stack([entries, np.ones_like(entries)], 1), entries
     width, first = Layout.BOXES.node_words, built.tree.top_node
     words = built.tree.nodes.numpy().ravel()[width * first : width * (first + built.top_first[-1])].reshape(-1, width)
@@ -168,12 +170,12 @@ def _figures(own: list[Row], all_ways: dict[str, list[Row]]) -> list[str]:
     one = median(all_ways["one, walked" if walked else "ranges 1"], "nodes")
     nodes, ns, size, build = (median(own, key) for key in ("nodes", "ns", "bytes", "build"))
     return [
-        f"{nodes:.2f}" + (f" ({own[0]['ranges']} ranges)" if own[0]["way"] == "chosen" else ""),
+        f"{nodes:.2f}" + (f" ({own[0]['ranges']})" if own[0]["way"] == "chosen" else ""),
         f"{median(own, 'triangles'):.1f}",
         f"{ns:.0f}" if ns else "",
         f"{size / 1e6:.2f}" if size else "",
         f"{build:.2f}" if build else "",
-        f"{one / nodes:.2f}",
+        f"{one / nodes:.2f}" if one and nodes else "",
     ]
 
 

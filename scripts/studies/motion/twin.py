@@ -156,7 +156,7 @@ def split_in_time(built: BuiltTree) -> Nodes:
         return best, cost
 
     rows: list[tuple[list, list, list, list]] = []
-    todo = [(np.arange(len(built.entry_mesh)), 0.0, 1.0, None)]
+    todo: list[tuple[np.ndarray, float, float, tuple[int, int] | None]] = [(np.arange(_count(built)), 0.0, 1.0, None)]
     while todo:
         who, first, last, above = todo.pop()
         if above is not None:
@@ -177,15 +177,15 @@ def split_in_time(built: BuiltTree) -> Nodes:
             else:
                 todo.append((*each, (len(rows), slot)))
         rows.append((box, inner, leaf, when))
-    made = Nodes(
-        np.full((1, len(rows), WIDTH, 2, 3), np.nan),
-        np.array([row[1] for row in rows]),
-        np.array([row[2] for row in rows]),
-        np.zeros((len(rows), WIDTH, 2)),
-    )
+    boxes_of, times_of = np.full((1, len(rows), WIDTH, 2, 3), np.nan), np.zeros((len(rows), WIDTH, 2))
     for i, (box, _, _, when) in enumerate(rows):
-        made.box[0, i, : len(box)], made.when[i, : len(when)] = box, when
-    return made
+        boxes_of[0, i, : len(box)], times_of[i, : len(when)] = box, when
+    return Nodes(boxes_of, np.array([row[1] for row in rows]), np.array([row[2] for row in rows]), times_of)
+
+
+def _count(built: BuiltTree) -> int:
+    assert built.entry_mesh is not None, "it is whole"
+    return len(built.entry_mesh)
 
 
 def _around(boxes: np.ndarray) -> np.ndarray:

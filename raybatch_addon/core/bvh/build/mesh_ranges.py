@@ -13,7 +13,7 @@ import warp as wp
 from ..node import Layout, half_areas
 from .encode import empty_vectors
 from .refit import NodeLevels, refit_boxes, refit_quantised
-from .time_ranges import GAIN_LEAST, RANGES_MOST, bounds
+from .time_ranges import RANGE_GAIN_LEAST, RANGES_MOST, bounds
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def worthwhile(whole: MeshRanges, most: int, refitted: Callable[[int], MeshRange
     found = [whole]
     while 2 * found[-1].count <= min(most, RANGES_MOST):
         finer = refitted(2 * found[-1].count)
-        if not finer.cost < (1 - GAIN_LEAST) * found[-1].cost:
+        if not finer.cost < (1 - RANGE_GAIN_LEAST) * found[-1].cost:
             break
         found.append(finer)
     return found

@@ -14,7 +14,7 @@ import numpy as np
 
 RANGES_MOST = 8
 # Twice as many ranges must make a ray's expected steps less by so much, for the memory that they take
-GAIN_LEAST = 0.1
+RANGE_GAIN_LEAST = 0.1
 
 
 def bounds(index: int, count: int) -> tuple[float, float]:
@@ -24,7 +24,7 @@ def bounds(index: int, count: int) -> tuple[float, float]:
 
 def best_count(costs: Sequence[float]) -> int:
     """How many ranges to have, from the `costs` of a ray with 1, 2, 4, ... of them."""
-    worth = [cost / (1 - GAIN_LEAST) ** doubled for doubled, cost in enumerate(costs)]
+    worth = [cost / (1 - RANGE_GAIN_LEAST) ** doubled for doubled, cost in enumerate(costs)]
     return 1 << int(np.argmin(worth))
 
 

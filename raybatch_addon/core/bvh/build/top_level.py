@@ -19,7 +19,7 @@ from .cuda.build import build_top
 from .encode import as_vectors
 from .entries import Entries
 from .mesh_ranges import MeshRanges
-from .time_ranges import GAIN_LEAST, RANGES_MOST, best_count, bounds
+from .time_ranges import RANGE_GAIN_LEAST, RANGES_MOST, best_count, bounds
 
 # Of the entries that change at most so many say how many ranges are worth it
 _LOOKED_AT = 1024
@@ -93,7 +93,7 @@ class OverTime:
     def may_pay(self) -> bool:
         """Whether ranges would pay if nothing were left of what changes."""
         still, changing = self._whole_costs()
-        return changing > GAIN_LEAST * (still + changing)
+        return changing > RANGE_GAIN_LEAST * (still + changing)
 
     def count(self) -> int:
         """The number of ranges that pays: from the areas of boxes and the costs of the trees in them."""

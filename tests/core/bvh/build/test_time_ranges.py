@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from raybatch_addon.core.bvh.build.time_ranges import GAIN_LEAST, RANGES_MOST, best_count, bounds, vertices_between
+from raybatch_addon.core.bvh.build.time_ranges import (
+    RANGE_GAIN_LEAST,
+    RANGES_MOST,
+    best_count,
+    bounds,
+    vertices_between,
+)
 from raybatch_addon.core.bvh.build.top_level import Listed
 from raybatch_addon.core.bvh.node import Layout
 from raybatch_addon.core.bvh.treelets.cut import CutRule
@@ -19,7 +25,7 @@ def test_ranges_are_doubled_as_long_as_each_pays():
     assert best_count([10.0, 9.1, 8.9]) == 1
     assert best_count([10.0, 6.0, 5.8, 5.7]) == 2
     assert best_count([10.0, 9.9, 5.0, 4.9]) == 4, "what pays together counts, not each step alone"
-    assert best_count([(1 - 1.01 * GAIN_LEAST) ** i for i in range(4)]) == 8
+    assert best_count([(1 - 1.01 * RANGE_GAIN_LEAST) ** i for i in range(4)]) == 8
 
 
 @pytest.mark.parametrize("steps", [2, 3, 4, 6])
