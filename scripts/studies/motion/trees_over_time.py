@@ -63,11 +63,12 @@ def measure(case: Case, turn: int, bench: Bench) -> Row:
         for k in range(PARTS):
             some = np.flatnonzero((rays.time * PARTS).astype(int) == k)
             aimed = rays.at(some)._replace(time=(rays.time[some] * PARTS - k).astype(np.float32))
-            found.append(trace(built_tree(part_of_time(scene, k / PARTS, (k + 1) / PARTS), device), aimed, device))
+            part = built_tree(part_of_time(scene, k / PARTS, (k + 1) / PARTS), device, 1)
+            found.append(trace(part, aimed, device))
         return _row(found, count)
     start = time.perf_counter()
     if way == "still":
-        built = built_tree(still_at(scene, 0.5), device)
+        built = built_tree(still_at(scene, 0.5), device, 1)
     else:
         built = built_tree(scene, device, None if way == "chosen" else int(way.split()[1]))
     seconds = time.perf_counter() - start
