@@ -8,6 +8,7 @@ from lib.command import UsageError
 
 from studies import adaptive, batching, budgets, cycles, light_sampling, many_lights, sequences, thesis
 from studies.images import environment, textures
+from studies.motion import trees_over_time
 from studies.study import Study
 
 STUDIES: dict[str, Study] = {
@@ -22,6 +23,7 @@ STUDIES: dict[str, Study] = {
         adaptive.STUDY,
         textures.STUDY,
         budgets.STUDY,
+        trees_over_time.STUDY,
         cycles.STUDY,
     )
 }

@@ -30,6 +30,9 @@ NORMALS = 36  # of the corners of a triangle
 TREE_BYTES_MOST = {Layout.BOXES: 90, Layout.QUANTISED: 64}
 TREE_BYTES = {Layout.BOXES: 45, Layout.QUANTISED: 55}
 COPY_BYTES = {Layout.BOXES: 40, Layout.QUANTISED: 48}  # of a triangle in a block
+# Nodes of a tree for ranges of time (`build/mesh_ranges.py`) take at most so many times the memory of its triangles at
+# further steps
+NODES_OVER_TIME = 2
 BUILD_BYTES_HOST = 100  # records, lists and nodes of a binary tree, for each triangle (`cpu/build.py`)
 
 
@@ -78,8 +81,8 @@ class GeometrySize:
         return COPY_BYTES[layout] * self.copies
 
     def tree_bytes_most(self, layout: Layout) -> int:
-        """Trees and triangles, the copies included, from above [bytes]."""
-        return TREE_BYTES_MOST[layout] * self.triangles + self.step_bytes(layout)
+        """Trees and triangles, with copies and nodes for ranges of time, from above [bytes]."""
+        return TREE_BYTES_MOST[layout] * self.triangles + (1 + NODES_OVER_TIME) * self.step_bytes(layout)
 
     def arrays(self) -> int:
         """Geometry alone [bytes]."""

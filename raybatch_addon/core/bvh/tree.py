@@ -18,7 +18,7 @@ class Tree:
 
     nodes: wp.array(dtype=wp.vec4)  # 64-byte aligned
     triangles: wp.array(dtype=wp.vec4)  # 64-byte aligned
-    # by entry
+    # by entry; one whose mesh tree has nodes for each of some ranges of time is there once for each of these
     entry_node: wp.array(dtype=int)  # first node of the entry's mesh tree
     entry_triangle: wp.array(dtype=int)  # its first triangle, or first group of triangles (BOXES)
     entry_centre: wp.array(dtype=wp.vec3)  # its boxes are relative to this point of object space [m]
@@ -38,9 +38,13 @@ class Tree:
     deform_steps: int
     # top level
     top_node: int  # its first node
-    top_entry: wp.array(dtype=int)  # what its leaves list, shape [entry_count]
+    top_entry: wp.array(dtype=int)  # what its leaves list, shape [entry_count] or more
     top_centre: wp.vec3
     top_margin: float  # as `SLAB_MARGIN`, for rays against the boxes of entries
+    # where something moves: the top level of each of so many equal ranges of time, a power of two; rays know no other
+    top_ranges: int
+    range_node: wp.array(dtype=int)  # as `top_node`, by range
+    range_centre: wp.array(dtype=wp.vec3)  # as `top_centre`, by range
     entry_count: int
 
 

@@ -1,22 +1,13 @@
-"""The entries of a scene, mesh trees as instances place them, and the top level over them."""
+"""The entries of a scene: mesh trees as instances place them, and where they are in time."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
-import warp as wp
 
 from ...scene.flatten import FlatGeometry
 from ...scene.motion import KEY_FLOATS, knots, maps_at, way_off
-from ..margin import SLAB_MARGIN
-from ..node import Layout
-from .binary import BuildOptions
-from .collapse import collapse_entries
-from .cpu.build import build_binary_from_boxes
-from .cuda.build import build_top
-from .encode import as_vectors
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,28 +27,31 @@ class Entries:
     motion: np.ndarray | None = None  # row of the entry's keys, or -1
     keys: np.ndarray | None = None  # `FlatMotion.keys`, float32, shape [rows, steps, KEY_FLOATS]
 
-    def boxes(self, mesh_boxes: np.ndarray) -> np.ndarray:
-        """World boxes of the entries, float64, shape [n, 2, 3], from those of the mesh trees, shape [m, 2, 3] (Arvo
-        1990).
+    def boxes(
+        self, mesh_boxes: np.ndarray, first: float = 0.0, last: float = 1.0, which: np.ndarray | slice = slice(None)
+    ) -> np.ndarray:
+        """World boxes of the entries `which` (all) from one time to another, float64, shape [n, 2, 3], from those of
+        the mesh trees, shape [m, 2, 3] (Arvo 1990).
         """
-        box = mesh_boxes.astype(np.float64)[self.mesh]
-        found = _moved_boxes(self.to_world, box)
-        moving = self._moving()
-        for first in range(0, len(moving), _AT_ONCE):
-            some = moving[first : first + _AT_ONCE]
-            found[some] = boxes_over_time(self.keys[self.motion[some]], box[some])
+        box = mesh_boxes.astype(np.float64)[self.mesh[which]]
+        found = _moved_boxes(self.to_world[which], box)
+        row = np.full(len(box), -1) if self.motion is None else self.motion[which]
+        moving = np.flatnonzero(row >= 0)
+        for begin in range(0, len(moving), _AT_ONCE):
+            some = moving[begin : begin + _AT_ONCE]
+            found[some] = boxes_over_time(self.keys[row[some]], box[some], first, last)
         return found
 
-    def _moving(self) -> np.ndarray:
-        """Indices of the entries that move."""
-        return np.zeros(0, int) if self.motion is None else np.flatnonzero(self.motion >= 0)
+    def moving(self) -> np.ndarray:
+        """Whether each entry moves as a whole: bool, shape [n]."""
+        return np.zeros(len(self.to_world), bool) if self.motion is None else self.motion >= 0
 
     def conditions(self) -> tuple[np.ndarray, np.ndarray]:
         """By entry, as large as they become: the product of the sizes of its map and the inverse, and the largest
         coordinate of its origin.
         """
         size, reach = _condition(self.to_world, self.from_world), np.abs(self.to_world[:, :, 3]).max(1)
-        moving = self._moving()
+        moving = np.flatnonzero(self.moving())
         for first in range(0, len(moving), _AT_ONCE):
             some = moving[first : first + _AT_ONCE]
             keys = self.keys[self.motion[some]]
@@ -86,10 +80,13 @@ def _moved_boxes(maps: np.ndarray, box: np.ndarray) -> np.ndarray:
     return np.stack([middle - reach, middle + reach], -2)
 
 
-def boxes_over_time(keys: np.ndarray, box: np.ndarray) -> np.ndarray:
-    """Boxes [n, 2, 3] around all that things in the boxes [n, 2, 3] come by, moved by keys [n, steps, KEY_FLOATS]."""
+def boxes_over_time(keys: np.ndarray, box: np.ndarray, first: float = 0.0, last: float = 1.0) -> np.ndarray:
+    """Boxes [n, 2, 3] around all that things in the boxes [n, 2, 3] come by from one time to another, moved by keys
+    [n, steps, KEY_FLOATS].
+    """
     times = knots(keys)
     parts = (len(times) - 1) // (keys.shape[1] - 1)
+    times = np.concatenate([[first], times[(times > first) & (times < last)], [last]])
     there = _moved_boxes(maps_at(keys, times), box[:, None])
     off = way_off(keys, np.linalg.norm(np.abs(box).max(1), axis=1), parts)[:, None]
     return np.stack([there[:, :, 0].min(1) - off, there[:, :, 1].max(1) + off], 1)
@@ -129,36 +126,3 @@ def inverse_transforms(matrices: np.ndarray) -> np.ndarray:
     """Inverses of affine maps, float64, shape [n, 3, 4]."""
     inverse = np.linalg.inv(matrices[:, :, :3])
     return np.concatenate([inverse, -inverse @ matrices[:, :, 3:]], axis=2)
-
-
-class TopLevel(NamedTuple):
-    """The tree over entries."""
-
-    nodes: wp.array  # vec4, in the layout of the mesh trees
-    order: wp.array  # int: entries as leaves list them
-    centre: np.ndarray  # float32 [3]: what box coordinates are relative to
-    margin: float  # of rays, as `Tree.top_margin`
-
-
-def build_top_level(entries: Entries, boxes: np.ndarray, layout: Layout, device: wp.Device) -> TopLevel:
-    """The tree over `entries`, whose world boxes are `boxes`; its arrays are on `device`.
-
-    Let x -> M x + m be the entry's map from the world, A the inverse of M, |M| the largest sum of a row's sizes, and R
-    the largest coordinate of the entry's box or of its origin. A ray that is carried to object space by nine products
-    and sums of float32 is wrong there by at most 8u |M| (|o| + R), the rounding of M and m adds as much again, and the
-    triangle test 19u of the largest object coordinate (`margin.py`), which is below |M| (|o| + R) too. A carries any of
-    these into any axis of the world: together they are below 2 `SLAB_MARGIN` |A| |M| (|o| + R) there. An uneven scale
-    makes |A| |M| large.
-    """
-    condition, origins = entries.conditions()
-    # no coordinate of the top level's centre is larger than all boxes
-    reach = np.maximum(np.abs(boxes).max((1, 2)), origins) + np.abs(boxes).max()
-    margin = (2 * SLAB_MARGIN * condition * reach)[:, None]
-    low = np.nextafter((boxes[:, 0] - margin).astype(np.float32), np.float32(-np.inf))
-    high = np.nextafter((boxes[:, 1] + margin).astype(np.float32), np.float32(np.inf))
-    ray_margin = float(2 * SLAB_MARGIN * condition.max())
-    if device.is_cuda:
-        top = build_top(wp.array(low, dtype=wp.vec3, device=device), wp.array(high, dtype=wp.vec3, device=device))
-        return TopLevel(top.nodes, top.order, top.centre, ray_margin)
-    top = collapse_entries(build_binary_from_boxes(low, high, BuildOptions(leaf_group=1, leaf_max=1)), layout)
-    return TopLevel(as_vectors(top.nodes), wp.array(top.order, dtype=int, device=device), top.centre, ray_margin)

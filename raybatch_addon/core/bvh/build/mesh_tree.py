@@ -7,23 +7,27 @@ QUANTISED; meshes with spatial splits are built by the CPU and uploaded.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 import warp as wp
 
+from ...device.devices import free_memory
 from ...scene.flatten import FlatGeometry
 from ...scene.geometry import Geometry
-from ..node import TRIANGLES_MAX_QUANTISED, Layout
+from ..memory import COPY_BYTES, NODES_OVER_TIME
+from ..node import TRIANGLES_MAX_QUANTISED, VECTOR_BYTES, Layout
 from .binary import BuildOptions
 from .collapse import collapse_mesh
 from .cpu.build import build_binary
 from .cuda.build import DeviceMesh, build_mesh
 from .encode import as_vectors, empty_vectors
+from .mesh_ranges import MeshRanges, refitted_ranges, worthwhile
 from .refit import NodeLevels, RefitResult, node_levels, refit_boxes, refit_quantised
 from .refit_part import WholeBoxes, is_part, refit_part
 from .segments import place_primitives, stand_ins
+from .time_ranges import vertices_between
 
 # A refitted tree is built anew when it costs rays so many times the least that it did (Wald, Boulos and Shirley
 # 2007 find 1.5 to 2 usual; but a build takes as long as some thirty refits, and a frame's rays mostly longer)
@@ -81,6 +85,14 @@ class MeshTree:
     step_units: int = 0  # blocks of one step of vertices that move, in `triangles` step behind step; 0: they do not
     levels: NodeLevels | None = None  # of QUANTISED, from the first refit on
     whole: WholeBoxes | None = None  # of BOXES, once a part of its triangles moved
+    # of vertices that move: figures with 1, 2, 4, ... ranges of time, as far as they pay; and those that are used, with
+    # their nodes, which lie among those of the tree then
+    over_time: list[MeshRanges] = field(default_factory=list, repr=False)
+    ranges: MeshRanges | None = None
+
+    def as_ranges(self) -> MeshRanges:
+        """The tree as it is at all times."""
+        return MeshRanges(self.box[None], np.array([self.sah]), self.centre[None])
 
 
 class MeshTrees:
@@ -119,6 +131,35 @@ class MeshTrees:
         made = self._build(part, replace(self._options, spatial_splits=False))
         self._spread(made, vertices)
         return made
+
+    def over_time(self, mesh: MeshTree) -> list[MeshRanges]:
+        """`MeshTree.over_time` of a tree whose vertices move, all with their nodes."""
+        further = len(self._flat.motion.steps[mesh.part.mesh][0]) - 1
+        room = NODES_OVER_TIME * COPY_BYTES[self.layout] * further * mesh.part.triangle_count
+        room = min(room, free_memory(self._device) // 4)
+        most = room // (mesh.nodes.size * VECTOR_BYTES)
+        return worthwhile(mesh.as_ranges(), most, lambda count: self.in_ranges(mesh, count))
+
+    def in_ranges(self, mesh: MeshTree, count: int) -> MeshRanges:
+        """The nodes of a tree whose vertices move, for each of `count` ranges of time."""
+        steps, _ = self._flat.motion.steps[mesh.part.mesh]
+        positions, own = self._own(mesh.part)
+        segments = self._flat.curves and bool(np.isnan(steps[0, -1, 2]))
+
+        def between(first: float, last: float) -> tuple[list[np.ndarray], np.ndarray]:
+            corners = vertices_between(steps, first, last)
+            if not segments:
+                return corners, own
+            for mixed in (corners := [each.copy() for each in corners]):
+                mixed[own[:, 2]] = positions[own[:, 2]]  # words, which are no positions
+            boxed, triangles = stand_ins(positions, own, np.stack(corners))
+            return [boxed], triangles
+
+        blocks = mesh.triangles[: mesh.step_units * self.layout.triangle_words // 4]
+        levels = None
+        if self.layout is Layout.QUANTISED:
+            levels = mesh.levels = mesh.levels or self._levels(mesh)
+        return refitted_ranges(mesh.nodes, blocks, self.layout, levels, between, count)
 
     def _with_steps_of_segments(self, part: MeshPart, steps: np.ndarray) -> MeshTree:
         """A tree over segments alone, whose boxes hold them at all `steps`, shape [steps, vertex_count, 3]."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -20,8 +20,10 @@ from .collapse import collapse_boxes_kernel, fill_boxes_kernel
 from .cpu.stages import build_kernel
 from .cuda.build import DEVICE_BUILD_KERNELS
 from .encode import as_vectors, place_groups_kernel
-from .entries import Entries, build_top_level, entries_of
+from .entries import Entries, entries_of
+from .mesh_ranges import MeshRanges
 from .mesh_tree import MeshTree, MeshTrees, mesh_parts
+from .top_level import Listed, OverTime, build_top_level
 
 _VECTORS_MAX = 2**31 - 1  # elements of an array
 # The top level has room for more nodes than it has, a share of them and a few: another frame's may need them
@@ -39,6 +41,11 @@ class BuiltTree:
     splits_planned: bool  # whether it was built for a render that splits triangles; those that moved since are whole
     meshes: list[MeshTree] = field(repr=False)  # their blocks are parts of the tree's arrays
     box: np.ndarray | None = None  # two corners that hold all surfaces [m], float64, shape [2, 3]
+    range_count: int | None = None  # as for `build_scene_tree`, and so is the next
+    mesh_ranges: bool = True
+    entry_mesh: np.ndarray | None = field(default=None, repr=False)  # by entry of the tree, index in `meshes`
+    # first nodes of the top levels of all ranges of time among these, then their count
+    top_first: list[int] = field(default_factory=lambda: [0])
     top_room: int = 0  # vectors behind the mesh trees' nodes, for the nodes of the top level
     statistics: dict[str, Any] = field(default_factory=dict)
 
@@ -65,6 +72,8 @@ def build_scene_tree(
     spatial_splits: bool = False,
     splits_moving: bool = False,
     on_device: bool | None = None,
+    range_count: int | None = None,
+    mesh_ranges: bool = True,
 ) -> BuiltTree:
     """Build all trees of `flat`, whose arrays are on `device` as `geometry`.
 
@@ -76,6 +85,9 @@ def build_scene_tree(
             refitted well.
         splits_moving: do so too for trees that are built anew because their vertices moved.
         on_device: as for `MeshTrees`.
+        range_count: ranges of time that have a top level each, a power of two, where something moves; None: as many as
+            pay.
+        mesh_ranges: have nodes for these ranges in trees of meshes whose vertices move; trees that are cut use none.
 
     Raises `OutOfMemoryError` where the trees do not fit.
     """
@@ -87,9 +99,11 @@ def build_scene_tree(
         instancing=instancing,
         splits_moving=splits_moving,
         splits_planned=spatial_splits,
+        range_count=range_count,
+        mesh_ranges=mesh_ranges,
         meshes=[trees.build(part) for part in mesh_parts(flat)],
     )
-    _assemble(built, flat, entries_of(flat, visibility), device, fresh=True)
+    _assemble(built, trees, flat, entries_of(flat, visibility), device, fresh=True)
     built.note(len(built.meshes), 0, start)
     return built
 
@@ -126,7 +140,7 @@ def refit_scene_tree(
             built.meshes[i] = None
         for i in worse:
             built.meshes[i] = trees.build(parts[i])
-    _assemble(built, flat, entries_of(flat, visibility), device, fresh=bool(worse))
+    _assemble(built, trees, flat, entries_of(flat, visibility), device, fresh=bool(worse))
     built.note(len(worse), len(moved) - len(worse), start)
 
 
@@ -149,7 +163,7 @@ def refit_moved(
         mesh = built.meshes[i]
         if not trees.refit(mesh, [(first - mesh.part.triangle_first, count) for first, count in spans]):
             return False
-    _assemble(built, flat, entries_of(flat, visibility), device, fresh=False)
+    _assemble(built, trees, flat, entries_of(flat, visibility), device, fresh=False)
     built.note(0, len(moved), start)
     return True
 
@@ -171,18 +185,38 @@ def layout_for(device: wp.Device) -> Layout:
     return Layout.QUANTISED if device.is_cuda else Layout.BOXES
 
 
-def _assemble(built: BuiltTree, flat: FlatGeometry, entries: Entries, device: wp.Device, fresh: bool) -> None:
+def _assemble(
+    built: BuiltTree, trees: MeshTrees, flat: FlatGeometry, entries: Entries, device: wp.Device, fresh: bool
+) -> None:
     """Put mesh trees, top level and entries together; with `fresh` mesh trees, all of them move to new arrays."""
     meshes, tree = built.meshes, Tree()
-    boxes = entries.boxes(np.array([mesh.box for mesh in meshes]))
-    top = build_top_level(entries, boxes, built.layout, device) if built.instancing else None
+    times = OverTime(
+        entries,
+        np.array([mesh.box for mesh in meshes]),
+        np.array([mesh.sah for mesh in meshes]),
+        np.array([mesh.step_units > 0 for mesh in meshes]),
+    )
+    count = _range_count(built, trees, times) if flat.motion and built.instancing else 1
+    fresh = _keep_ranges(built, trees, times.chosen(count)) or fresh
+    mesh_ranges = np.array([mesh.ranges.count if mesh.ranges else 1 for mesh in meshes])
+    listed = Listed.of(entries.mesh, mesh_ranges, count)
+    source = listed.source if mesh_ranges.max(initial=1) > 1 else slice(None)
+    built.entry_mesh = mesh_of = entries.mesh[source]
+    top = None
+    if built.instancing:
+        boxes = [times.boxes(k, count) for k in range(count)]
+        top = build_top_level(entries, boxes, built.layout, device, listed.of_range if count > 1 else None)
     top_size = top.nodes.size if top else 0
     vectors_per_node, vectors_per_block = built.layout.node_words // 4, built.layout.triangle_words // 4
     if fresh or top_size > built.top_room:
         built.top_room = top_size + int(top_size * _TOP_ROOM_SHARE) + _TOP_ROOM_NODES * vectors_per_node if top else 0
-        tree.nodes, parts = _joined([mesh.nodes for mesh in meshes], built.top_room, device)
-        for mesh, part in zip(meshes, parts, strict=True):
+        ranged = [mesh for mesh in meshes if mesh.ranges]
+        blocks = [*(mesh.nodes for mesh in meshes), *(mesh.ranges.nodes for mesh in ranged)]
+        tree.nodes, parts = _joined(blocks, built.top_room, device)
+        for mesh, part in zip(meshes, parts):
             mesh.nodes = part
+        for mesh, part in zip(ranged, parts[len(meshes) :], strict=True):
+            mesh.ranges = replace(mesh.ranges, nodes=part)
     else:
         tree.nodes = built.tree.nodes
     if fresh:  # after the nodes, whose old arrays are free by now
@@ -191,38 +225,80 @@ def _assemble(built: BuiltTree, flat: FlatGeometry, entries: Entries, device: wp
             mesh.triangles = part
     else:
         tree.triangles = built.tree.triangles
-    node_first = np.cumsum([0, *(mesh.nodes.size for mesh in meshes)])
+    entry_node, entry_centre, top_first = _nodes_of_entries(meshes, mesh_of, listed.range)
     triangle_first = np.cumsum([0, *(mesh.triangles.size for mesh in meshes)])
 
     def upload(values: np.ndarray, dtype: type) -> wp.array:
         host = np.ascontiguousarray(values, np.float32 if dtype in (wp.vec3, mat34) else np.int32)
         return wp.array(host, dtype=dtype, device=device)
 
-    tree.entry_node = upload(node_first[entries.mesh] // vectors_per_node, int)
-    tree.entry_triangle = upload(triangle_first[entries.mesh] // vectors_per_block, int)
-    tree.entry_centre = upload(np.array([mesh.centre for mesh in meshes])[entries.mesh], wp.vec3)
-    tree.entry_from_world = upload(entries.from_world, mat34)
-    tree.entry_instance = upload(entries.instance, int)
-    tree.entry_visibility = upload(entries.visibility, int)
-    tree.merged_first = upload(entries.merged_first, int)
+    tree.entry_node = upload(entry_node // vectors_per_node, int)
+    tree.entry_triangle = upload(triangle_first[mesh_of] // vectors_per_block, int)
+    tree.entry_centre = upload(entry_centre, wp.vec3)
+    tree.entry_from_world = upload(entries.from_world[source], mat34)
+    tree.entry_instance = upload(entries.instance[source], int)
+    tree.entry_visibility = upload(entries.visibility[source], int)
+    # further ones are no groups: what deforms is not baked
+    further = np.full(len(mesh_of) - len(entries.mesh), entries.merged_first[-1])
+    tree.merged_first = upload(np.concatenate([entries.merged_first, further]), int)
     tree.merged_instance = upload(entries.merged_instance, int)
     tree.merged_triangle_first = upload(entries.merged_triangle_first, int)
     if flat.motion:
-        steps = np.array([mesh.step_units for mesh in meshes])[entries.mesh]
-        tree.entry_motion, tree.entry_deform = upload(entries.motion, int), upload(steps, int)
+        steps = np.array([mesh.step_units for mesh in meshes])[mesh_of]
+        tree.entry_motion, tree.entry_deform = upload(entries.motion[source], int), upload(steps, int)
         tree.motion_keys = wp.array(entries.keys.reshape(-1), dtype=float, device=device)
         tree.motion_steps = entries.keys.shape[1]
         tree.deform_steps = flat.motion.vertex_steps
-    tree.entry_count = len(entries.mesh)
-    tree.top_node = int(node_first[-1]) // vectors_per_node
-    tree.top_entry = top.order if top else wp.empty(0, dtype=int, device=device)
+    tree.entry_count = len(mesh_of)
+    tree.top_node, tree.top_entry = top_first // vectors_per_node, wp.empty(0, dtype=int, device=device)
     if top:
-        wp.copy(tree.nodes, top.nodes, dest_offset=int(node_first[-1]), count=top_size)
-        tree.top_centre, tree.top_margin = wp.vec3(*top.centre.tolist()), top.margin
+        wp.copy(tree.nodes, top.nodes, dest_offset=top_first, count=top_size)
+        top.place(tree, tree.top_node, device)
     wp.synchronize_device(device)
     built.tree = tree
-    built.box = np.stack([boxes[:, 0].min(0), boxes[:, 1].max(0)])
+    built.top_first = top.first if top else [0]
+    built.box = np.stack([times.whole[:, 0].min(0), times.whole[:, 1].max(0)])
     built.statistics = _description(built, top_size // vectors_per_node)
+
+
+def _range_count(built: BuiltTree, trees: MeshTrees, times: OverTime) -> int:
+    """Ranges of time that have a top level each; those of meshes are known then, where they may be used."""
+    if built.range_count == 1 or not (built.range_count or times.may_pay()):
+        return 1
+    for i, mesh in enumerate(built.meshes):
+        if mesh.step_units and built.mesh_ranges:
+            mesh.over_time = mesh.over_time or trees.over_time(mesh)
+            times.meshes[i] = mesh.over_time
+    return built.range_count or times.count()
+
+
+def _keep_ranges(built: BuiltTree, trees: MeshTrees, chosen: Mapping[int, MeshRanges]) -> bool:
+    """Give mesh trees nodes for the ranges `chosen`, and take all others away; whether that changes any."""
+    changed = False
+    for i, mesh in enumerate(built.meshes):
+        ranges = chosen.get(i)
+        mesh.over_time = [each.without_nodes() for each in mesh.over_time]
+        if (ranges.count if ranges else 1) == (mesh.ranges.count if mesh.ranges else 1):
+            continue
+        mesh.ranges = trees.in_ranges(mesh, ranges.count) if ranges and ranges.nodes is None else ranges
+        changed = True
+    return changed
+
+
+def _nodes_of_entries(
+    meshes: Sequence[MeshTree], mesh_of: np.ndarray, range_of: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """The first vector of the nodes of each entry, the centre of its boxes, and the first vector behind all these."""
+    first = np.cumsum([0, *(mesh.nodes.size for mesh in meshes)])
+    centre = np.array([mesh.centre for mesh in meshes])
+    entry_first, entry_centre, end = first[mesh_of], centre[mesh_of], int(first[-1])
+    for i, mesh in enumerate(meshes):
+        if mesh.ranges:
+            those = mesh_of == i
+            entry_first[those] = end + range_of[those] * mesh.nodes.size
+            entry_centre[those] = mesh.ranges.centre[range_of[those]]
+            end += mesh.ranges.nodes.size
+    return entry_first, entry_centre, end
 
 
 def _joined(blocks: list[wp.array], room: int, device: wp.Device) -> tuple[wp.array, list[wp.array]]:
@@ -264,9 +340,10 @@ def _description(built: BuiltTree, top_count: int) -> dict[str, Any]:
         "trees": len(meshes),
         "entries": tree.entry_count,
         "triangles": sum(mesh.part.triangle_count for mesh in meshes),
-        "nodes": sum(mesh.node_count for mesh in meshes) + top_count,
+        "nodes": sum(mesh.node_count * (1 + (mesh.ranges.count if mesh.ranges else 0)) for mesh in meshes) + top_count,
         "bytes": (tree.nodes.size + tree.triangles.size) * VECTOR_BYTES,
         "depth": max(mesh.depth for mesh in meshes),
         "sah": round(costly.sah, 4),
         "sah_built": round(costly.sah_built, 4),
+        **({"time_ranges": tree.top_ranges} if tree.motion_steps else {}),
     }

@@ -34,6 +34,8 @@ from .tables import PageBuilder, PageTables
 
 # Nodes stay on the device where they take no more than this share of the budget
 _NODES_SHARE = 0.75
+# Share of the budget that top levels for several ranges of time may take
+_RANGES_SHARE = 0.125
 # Share of the host's free memory that pages may take once more, as the device has them
 _PLAIN_SHARE = 0.5
 
@@ -295,9 +297,11 @@ def _assembled(
     that cannot be.
     """
     start = time.perf_counter()
-    resident = place_resident(tables, flat, visibility, layout, device)
-    node_bytes = int(tables.page_bytes[:, 0].sum())
     staged = device.is_cuda and record.encoded
+    resident = place_resident(tables, flat, visibility, layout, device, int(_RANGES_SHARE * budget))
+    if tables.needed_bytes(resident.bytes, bool(nodes_resident), staged) > budget:
+        resident = place_resident(tables, flat, visibility, layout, device)
+    node_bytes = int(tables.page_bytes[:, 0].sum())
     if nodes_resident is None:
         # room for more than one page without nodes
         rest = budget - resident.bytes - node_bytes
@@ -370,4 +374,5 @@ def _description(tables: PageTables, layout: Layout, resident: Resident, nodes_r
         "depth": int(tables.chunk_depth.max()),
         "levels": resident.levels,
         "sah": round(float(tables.chunk_sah.max()), 4),
+        **({"time_ranges": resident.tree.top_ranges} if resident.tree.motion_steps else {}),
     }

@@ -12,8 +12,8 @@ import warp as wp
 from ...scene.flatten import FlatGeometry
 from ...scene.geometry import mat34
 from ..build.encode import as_vectors
-from ..build.entries import build_top_level
 from ..build.mesh_tree import mesh_parts
+from ..build.top_level import OverTime, build_top_level
 from ..node import VECTOR_BYTES, Layout, aligned_empty
 from ..tree import Tree
 from ..treelets.links import tree_levels
@@ -36,12 +36,20 @@ class Resident:
 
 
 def place_resident(
-    tables: PageTables, flat: FlatGeometry, visibility: np.ndarray, layout: Layout, device: wp.Device
+    tables: PageTables, flat: FlatGeometry, visibility: np.ndarray, layout: Layout, device: wp.Device, room: int = 0
 ) -> Resident:
-    """Everything on `device` but pages; `visibility` as for `entries_of`."""
+    """Everything on `device` but pages; `visibility` as for `entries_of`.
+
+    `room`: what the top level may take where it has several ranges of time [bytes]; it has one where that is too
+    little.
+    """
     entries = chunk_entries(flat, visibility, tables.chunk_first, tables.baked)
-    boxes = entries.boxes(tables.chunk_box)
-    top = build_top_level(entries, boxes, layout, device)
+    # trees of chunks have no nodes for ranges of time
+    times = OverTime(entries, tables.chunk_box, tables.chunk_sah, np.zeros(len(tables.chunk_box), bool))
+    count = times.count() if room else 1
+    top = build_top_level(entries, [times.boxes(k, count) for k in range(count)], layout, device)
+    if count > 1 and VECTOR_BYTES * top.nodes.size + 4 * top.order.size > room:
+        top = build_top_level(entries, [times.whole], layout, device)
     top_words = top.nodes.numpy().view(layout.node_type).reshape(-1, layout.node_words)
     node_count = len(tables.top_nodes)
     tree = Tree()
@@ -65,13 +73,13 @@ def place_resident(
         tree.entry_deform = upload.add(chunk_deform[entries.mesh], int)
         tree.motion_keys = upload.add(entries.keys.reshape(-1), float)
         tree.motion_steps, tree.deform_steps = entries.keys.shape[1], flat.motion.vertex_steps
-    tree.top_node, tree.top_entry = node_count, top.order
-    tree.top_centre, tree.top_margin = wp.vec3(*top.centre.tolist()), top.margin
+    top.place(tree, node_count, device)
     of_node = upload.add(np.concatenate([tables.top_treelet, np.full(len(top_words), -1)]), int)
     root, deform = upload.add(tables.treelet_root, int), upload.add(deform, int)
     size = upload.bytes + VECTOR_BYTES * (tree.nodes.size + tree.triangles.size) + 4 * top.order.size
-    levels = len(tree_levels(layout, top_words)) + int(tables.chunk_levels.max())
-    return Resident(tree, of_node, root, deform, levels, np.stack([boxes[:, 0].min(0), boxes[:, 1].max(0)]), size)
+    levels = max(len(tree_levels(layout, top_words[first:])) for first in top.first[:-1])
+    box = np.stack([times.whole[:, 0].min(0), times.whole[:, 1].max(0)])
+    return Resident(tree, of_node, root, deform, levels + int(tables.chunk_levels.max()), box, size)
 
 
 def _deform(tables: PageTables, flat: FlatGeometry, layout: Layout) -> tuple[np.ndarray, np.ndarray]:

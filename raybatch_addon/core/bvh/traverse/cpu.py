@@ -39,6 +39,7 @@ RAY_HEADERS = (
     "math/vectors.h",
     "math/transform.h",
     "traverse/identify.h",
+    "traverse/top_level.h",
     "traverse/boxes/ray.h",
     "traverse/boxes/step.h",
     "traverse/boxes/triangles.h",

@@ -34,6 +34,7 @@ STACK_MESH, STACK_ALL = 64, 129
 NODE_HEADERS = (
     "math/transform.h",
     "traverse/identify.h",
+    "traverse/top_level.h",
     "traverse/triangle.h",
     "traverse/quantised/device.h",
     "traverse/quantised/ray.h",

@@ -104,12 +104,13 @@ def cut_scene_tree(built: BuiltTree, rule: CutRule, device: wp.Device) -> Treele
             "with batching OFF"
         )
     top = _top_level(built) if built.instancing else np.empty((0, layout.node_words), layout.node_type)
-    top_levels = len(tree_levels(layout, top)) if built.instancing else 0
+    top_levels = max((len(tree_levels(layout, top[first:])) for first in built.top_first[:-1]), default=0)
     parts = [_cut_mesh(layout, mesh, rule, device) for mesh in built.meshes]
     mesh_node = _ends([len(part.top_nodes) for part in parts])
     mesh_triangle = _ends([part.top_triangle_count for part in parts])
     mesh_treelet = _ends([len(part.root) for part in parts])
 
+    # nodes of meshes for ranges of time stay behind: those around all of the time serve every entry
     tree = _placed(built, mesh_node, mesh_triangle, np.array([part.top_deform for part in parts], np.int32), device)
     tree.nodes = _upload_words(np.concatenate([*(part.top_nodes for part in parts), top]), device)
     tree.triangles = _empty_vectors(int(mesh_triangle[-1]) * layout.triangle_words // 4, device)
@@ -158,23 +159,19 @@ def _top_level(built: BuiltTree) -> np.ndarray:
     """Words of the top level's nodes; it lies behind the mesh trees, with room behind it."""
     layout = built.layout
     behind = built.tree.nodes[built.tree.top_node * layout.node_words // 4 :]
-    words = _words(behind, layout.node_words, layout.node_type)
-    return words[: sum(len(level) for level in tree_levels(layout, words))]
+    return _words(behind, layout.node_words, layout.node_type)[: built.top_first[-1]]
 
 
 def _placed(
     built: BuiltTree, mesh_node: np.ndarray, mesh_triangle: np.ndarray, mesh_deform: np.ndarray, device: wp.Device
 ) -> Tree:
     """The entries of `built` with their first resident nodes and triangles, and the triangles of a step."""
-    source, tree = built.tree, Tree()
-    first = _ends([mesh.nodes.size for mesh in built.meshes]) * 4 // built.layout.node_words
-    mesh = np.searchsorted(first, source.entry_node.numpy(), side="right") - 1
+    source, tree, mesh = built.tree, Tree(), built.entry_mesh
     tree.entry_node = wp.array(mesh_node[mesh].astype(np.int32), dtype=int, device=device)
     tree.entry_triangle = wp.array(mesh_triangle[mesh].astype(np.int32), dtype=int, device=device)
     if source.motion_steps:
         tree.entry_deform = wp.array(mesh_deform[mesh], dtype=int, device=device)
     for name in (
-        "entry_centre",
         "entry_from_world",
         "entry_instance",
         "entry_visibility",
@@ -188,10 +185,19 @@ def _placed(
         "top_entry",
         "top_centre",
         "top_margin",
+        "top_ranges",
+        "range_centre",
         "entry_count",
     ):
         setattr(tree, name, getattr(source, name))
+    tree.entry_centre = wp.array(
+        np.array([each.centre for each in built.meshes])[mesh].astype(np.float32), dtype=wp.vec3, device=device
+    )
     tree.top_node = int(mesh_node[-1])
+    if source.motion_steps:
+        tree.range_node = wp.array(
+            source.range_node.numpy() + np.int32(tree.top_node - source.top_node), dtype=int, device=device
+        )
     return tree
 
 

@@ -369,6 +369,7 @@ def _build(
         layout,
         spatial_splits=plan.splits,
         splits_moving=settings.is_on("spatial_splits"),
+        mesh_ranges=plan.method is not Method.BATCHED,
     )
     return Kept(fingerprint, geometry, built)
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import warp as wp
 
-from raybatch_addon.core.bvh.build.entries import Entries, build_top_level
+from raybatch_addon.core.bvh.build.entries import Entries
+from raybatch_addon.core.bvh.build.top_level import build_top_level
 from raybatch_addon.core.bvh.node import Layout
 from tests.twins.watertight import intersect_float32
 
@@ -19,7 +20,7 @@ def test_hits_of_squashed_instances_lie_within_their_margined_boxes(squash):
     from_world = np.concatenate([np.linalg.inv(to_world[:, :, :3]), np.zeros((2, 3, 1))], 2)
     boxes = np.array([[[-1.0, -1, -1], [1, 1, 1]]] * 2)
     entries = made_entries(to_world, from_world)
-    top = build_top_level(entries, boxes, Layout.BOXES, wp.get_device("cpu"))
+    top = build_top_level(entries, [boxes], Layout.BOXES, wp.get_device("cpu"))
     growth = 2 * top.margin * (np.abs(boxes).max() + np.abs(boxes).max())  # of a box with these coordinates
     matrix = from_world[0].astype(np.float32)
     found = 0

@@ -7,7 +7,7 @@ import re
 
 import pytest
 
-from raybatch_addon.core.bvh.memory import COPY_BYTES, TREE_BYTES_MOST, GeometrySize
+from raybatch_addon.core.bvh.memory import COPY_BYTES, NODES_OVER_TIME, TREE_BYTES_MOST, GeometrySize
 from raybatch_addon.core.bvh.node import Layout
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.plan.cost_model import split_seconds
@@ -58,8 +58,9 @@ def test_curves_and_things_that_move_wait_like_all_others(layout, is_cuda, curve
 
     assert plan_of(100 * GB, batching="ON").method is Method.BATCHED
     assert plan_of(100 * GB, batching="AUTO", geometry_budget=GB // 10).method is Method.PAGED
-    # a copy of each triangle counts
-    needed = (TREE_BYTES_MOST[layout] * TRIANGLES, COPY_BYTES[layout] * TRIANGLES * moving)
+    # a copy of each triangle counts, and so do nodes for ranges of time
+    copies = COPY_BYTES[layout] * TRIANGLES * moving
+    needed = (TREE_BYTES_MOST[layout] * TRIANGLES, copies, NODES_OVER_TIME * copies)
     assert plan_of(100 * GB, batching="ON", geometry_budget=sum(needed)).method is Method.BATCHED
     assert plan_of(100 * GB, batching="ON", geometry_budget=sum(needed) - 1).method is Method.PAGED
     reference = plan_of(100 * GB, batching="REFERENCE")

@@ -136,13 +136,13 @@ auto set_entry = [&](Ray& ray, int entry) INLINE -> bool {
 auto to_top = [&](Ray& ray) INLINE {
     ray.slabs = ray.top_slabs;
     ray.entry = -1;
-    ray.nodes = NODES + NODE * tree.top_node;
+    ray.nodes = NODES + NODE * top_node_of(ray.slot);
     ray.triangles = NODES;  // never read, but asked for ahead
 };
 // At the root of the top level; whether the ray can be traced
 auto set_top = [&](Ray& ray) INLINE -> bool {
     const FourFloats o = four(rays.origin.data[ray.slot].c), d = four(rays.direction.data[ray.slot].c);
-    const bool sound = set_slabs(ray.top_slabs, o, d, four(tree.top_centre.c), tree.top_margin);
+    const bool sound = set_slabs(ray.top_slabs, o, d, four(top_centre_of(ray.slot).c), tree.top_margin);
     to_top(ray);
     ray.at = ray.nodes;
     ray.child = 0;

@@ -32,7 +32,7 @@ BetweenSteps between = {0, 0, 0.0f};  // in triangles
 auto in_top_level = [&]() -> bool { return entry < 0; };
 auto asks_any = [&]() -> bool { return ANY_HIT; };
 auto to_top_blocks = [&]() {
-    first_node = tree.top_node;
+    first_node = top_node_of(slot);
     first_triangle = 0u;
 };
 auto to_entry_blocks = [&]() {

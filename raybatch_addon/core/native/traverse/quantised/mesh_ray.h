@@ -6,7 +6,7 @@ auto make_ray = [&]() {
     if (!TWO_LEVEL) {
         ray = begin_ray(o, d, tree.entry_centre.data[0], SLAB_MARGIN);
     } else if (entry < 0) {
-        ray = begin_ray(o, d, tree.top_centre, tree.top_margin);
+        ray = begin_ray(o, d, top_centre_of(slot), tree.top_margin);
         top_order = ray.order;
         to_top_blocks();
     } else {

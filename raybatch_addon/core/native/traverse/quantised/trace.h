@@ -5,7 +5,7 @@ auto take = [&](int index) {
     best = rays.t_max.data[slot];
     if (ANY_HIT) rays.hit_instance.data[slot] = -1;
     else rays.hit_primitive.data[slot] = -1;
-    node = tree.entry_count > 0 ? TWO_LEVEL ? tree.top_node : 0u : NONE;
+    node = tree.entry_count > 0 ? TWO_LEVEL ? top_node_of(slot) : 0u : NONE;
     if (TWO_LEVEL) turned = true;
     else make_ray();
 #if COUNTERS

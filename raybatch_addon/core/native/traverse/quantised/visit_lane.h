@@ -55,7 +55,7 @@ BetweenSteps between = {0, 0, 0.0f};  // in triangles
 // What the steps that whole and cut trees share ask of a lane
 auto in_top_level = [&]() -> bool { return !(state & IN_MESH); };
 auto asks_any = [&]() -> bool { return slot >= listed.any_first; };
-auto to_top_blocks = [&]() { nodes = resident_nodes + NODE * (unsigned)tree.top_node; };
+auto to_top_blocks = [&]() { nodes = resident_nodes + NODE * (unsigned)top_node_of(slot); };
 auto to_entry_blocks = [&]() {
     nodes = resident_nodes + NODE * (unsigned)tree.entry_node.data[entry];
     triangles = resident_triangles + TRIANGLE * (unsigned)tree.entry_triangle.data[entry];
