@@ -115,7 +115,8 @@ auto distant_estimate = [&](int number) -> float {
 
 // Estimates know nothing of what stands in the way, and where the brightest is hidden the others are all there is. So
 // what may be hidden by itself counts, at the top, as the geometric mean of its light and of that with a part of all
-// light added.
+// light added. The part is shared among all but one: so many alike count for as much, together, as one that brings
+// what they do.
 float hidden = 0.0f;  // that part; 0 until `weigh_top`, and where there is nothing to be compared with
 #if LOCAL
 // What `light` counts for, as a part of a group that brings `group`.
@@ -151,7 +152,7 @@ auto weigh_top = [&](float local) -> float {
         estimated += light;
     }
 #endif
-    hidden = apart > 1 ? HIDDEN * estimated : 0.0f;
+    hidden = apart > 1 ? HIDDEN * estimated / static_cast<float>(apart - 1) : 0.0f;
 #if SUNS || WORLD
     return all_distant();
 #else

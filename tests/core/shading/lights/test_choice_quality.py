@@ -76,7 +76,7 @@ def test_nodes_that_are_near_each_other_are_a_group():
 def counted(light):
     """What groups that bring `light` count for."""
     light = np.asarray(light, float)
-    return np.sqrt(light * (light + 0.3 * light.sum()))
+    return np.sqrt(light * (light + 0.3 * light.sum() / (len(light) - 1)))
 
 
 @pytest.mark.parametrize("parts", [1, 12])
@@ -94,6 +94,20 @@ def test_what_may_be_hidden_by_itself_is_chosen_more_often_where_it_is_dim(parts
     ]
     expected = counted([*brings, 0.01])
     np.testing.assert_allclose([pdf[0], pdf[1:-1].sum(), pdf[-1]], expected / expected.sum(), rtol=2e-3)
+
+
+def test_many_dim_lamps_take_hardly_more_from_a_bright_one_than_one_that_is_as_bright_as_all():
+    def bright_share(count):
+        places = [(6.0 * np.cos(angle), 6.0 * np.sin(angle), 3.0) for angle in range(count)]
+        lamps = [Light("bright", LightKind.POINT, facing((0, 0, 3), (0, 0, -1)), (1.0,) * 3)]
+        lamps += [Light("dim", LightKind.POINT, facing(place, (0, 0, -1)), (1 / count,) * 3) for place in places]
+        lit, _ = test_light_choice.uploaded(lamps)
+        share = test_light_choice.chosen_from(lit, (0, 0, 0), (0, 0, 1), count=1)[3][0]
+        expected = counted([3 / 9**1.5, *[3 / 45**1.5 / count] * count])
+        np.testing.assert_allclose(share, expected[0] / expected.sum(), rtol=2e-3)
+        return share
+
+    assert bright_share(1) - 0.02 < bright_share(6) < bright_share(1) < 0.9
 
 
 def test_in_a_volume_emitters_count_by_what_comes_from_all_sides():
