@@ -155,10 +155,12 @@ def window_coordinates(data: NodeData, stack: wp.array(dtype=float), pc: int, po
 
 @wp.func
 def pixel_footprint(data: NodeData, point: ShadingPoint) -> float:
-    """Width of a pixel at the distance that the ray has come [m]."""
+    """Width of a pixel at the distance that the path has come from the camera [m]: at least the way of its last ray,
+    which begins at the near plane or where the path scattered, and at least the straight way.
+    """
     width = data.inputs.pixel_width
     if data.inputs.perspective != 0:
-        width = width * point.ray_length
+        width = width * wp.max(point.ray_length, wp.length(point.position - data.inputs.camera_position))
     return width
 
 
