@@ -37,7 +37,7 @@ def rendered(device, monkeypatch):
 
     def render(scene, count: int, share: float = 0.5, **changes):
         monkeypatch.setattr(OverTime, "may_pay", lambda _: count > 1)
-        monkeypatch.setattr(OverTime, "count", lambda _: count)
+        monkeypatch.setattr(OverTime, "count", lambda _, room: count)
         monkeypatch.setattr(build, "_RANGES_SHARE", share)
         opened.append(Session(device))
         return opened[-1].render(scene, SETTINGS.replace(**changes))
@@ -72,8 +72,11 @@ def test_a_shutter_that_is_open_at_one_time_alone_sees_the_same(rendered, time):
         np.testing.assert_array_equal(rendered(scene, count).passes["Combined"], one)
 
 
-def test_trees_follow_from_frame_to_frame(device, monkeypatch):
+@pytest.mark.parametrize("counts", [(1, 4, 2), (2, 4, 2)])
+@pytest.mark.parametrize("splits", ["AUTO", "ON"])
+def test_trees_follow_from_frame_to_frame(device, monkeypatch, counts, splits):
     """Ranges come and go as they pay, also where only maps change and mesh trees stay."""
+    settings = SETTINGS.replace(spatial_splits=splits)
     scene = moving_scene()
     maps = scene.instances.motion.maps
     frames = [
@@ -81,14 +84,32 @@ def test_trees_follow_from_frame_to_frame(device, monkeypatch):
         for each in (maps, maps + np.float32(0.1) * np.eye(3, 4, 3, dtype=np.float32)[:, :4], maps)
     ]
     session = Session(device)
-    for count, frame in zip((1, 4, 2), frames, strict=True):
+    for count, frame in zip(counts, frames, strict=True):
         monkeypatch.setattr(OverTime, "may_pay", lambda _, count=count: count > 1)
-        monkeypatch.setattr(OverTime, "count", lambda _, count=count: count)
-        film = session.render(frame, SETTINGS)
+        monkeypatch.setattr(OverTime, "count", lambda _, room, count=count: count)
+        film = session.render(frame, settings)
         assert film.statistics["tree"]["time_ranges"] == count
         fresh = Session(device)
-        np.testing.assert_array_equal(fresh.render(frame, SETTINGS).passes["Combined"], film.passes["Combined"])
+        np.testing.assert_array_equal(fresh.render(frame, settings).passes["Combined"], film.passes["Combined"])
         fresh.close()
+    session.close()
+
+
+def test_what_was_rendered_before_does_not_tell_how_many_ranges_meshes_have(device):
+    """Trees that are cut have none in meshes; those that are not are as in a session of their own."""
+    scene, schedules = swaying(), ({}, SCHEDULES["batched"])
+
+    def entries(session, changes):
+        return session.render(scene, SETTINGS.replace(**changes)).statistics["tree"]["entries"]
+
+    own = []
+    for changes in schedules:
+        alone = Session(device)
+        own.append(entries(alone, changes))
+        alone.close()
+    assert own[0] > own[1]
+    session = Session(device)
+    assert [entries(session, schedules[k]) for k in (1, 0, 1, 0)] == [own[k] for k in (1, 0, 1, 0)]
     session.close()
 
 

@@ -83,11 +83,14 @@ def refitted_ranges(
 
 
 def worthwhile(whole: MeshRanges, most: int, refitted: Callable[[int], MeshRanges]) -> list[MeshRanges]:
-    """`whole`, of one range, and the same with 2, 4, ... as long as that pays; at most `most`."""
+    """`whole`, of one range, and the same with 2, 4, ... as long as that pays; at most `most`. The last alone has its
+    nodes.
+    """
     found = [whole]
     while 2 * found[-1].count <= min(most, RANGES_MOST):
         finer = refitted(2 * found[-1].count)
         if not finer.cost < (1 - RANGE_GAIN_LEAST) * found[-1].cost:
             break
+        found[-1] = found[-1].without_nodes()  # a refit has them again, where fewer are chosen for the whole scene
         found.append(finer)
     return found

@@ -133,7 +133,7 @@ class MeshTrees:
         return made
 
     def over_time(self, mesh: MeshTree) -> list[MeshRanges]:
-        """`MeshTree.over_time` of a tree whose vertices move, all with their nodes."""
+        """`MeshTree.over_time` of a tree whose vertices move, the finest with its nodes."""
         further = len(self._flat.motion.steps[mesh.part.mesh][0]) - 1
         room = NODES_OVER_TIME * COPY_BYTES[self.layout] * further * mesh.part.triangle_count
         room = min(room, free_memory(self._device) // 4)
@@ -158,7 +158,9 @@ class MeshTrees:
         blocks = mesh.triangles[: mesh.step_units * self.layout.triangle_words // 4]
         levels = None
         if self.layout is Layout.QUANTISED:
-            levels = mesh.levels = mesh.levels or self._levels(mesh)
+            levels = mesh.levels or self._levels(mesh)
+            if mesh.nodes.device == self._device:  # else they are the host's, and the tree is uploaded next
+                mesh.levels = levels
         return refitted_ranges(mesh.nodes, blocks, self.layout, levels, between, count)
 
     def _with_steps_of_segments(self, part: MeshPart, steps: np.ndarray) -> MeshTree:

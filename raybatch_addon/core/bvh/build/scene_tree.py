@@ -21,7 +21,6 @@ from .cpu.stages import build_kernel
 from .cuda.build import DEVICE_BUILD_KERNELS
 from .encode import as_vectors, place_groups_kernel
 from .entries import Entries, entries_of
-from .mesh_ranges import MeshRanges
 from .mesh_tree import MeshTree, MeshTrees, mesh_parts
 from .top_level import Listed, OverTime, build_top_level
 
@@ -196,8 +195,8 @@ def _assemble(
         np.array([mesh.sah for mesh in meshes]),
         np.array([mesh.step_units > 0 for mesh in meshes]),
     )
-    count = _range_count(built, trees, times) if flat.motion and built.instancing else 1
-    fresh = _keep_ranges(built, trees, times.chosen(count)) or fresh
+    count = _range_count(built, trees, times, device) if flat.motion and built.instancing else 1
+    fresh = _keep_ranges(built, trees, times, count) or fresh
     mesh_ranges = np.array([mesh.ranges.count if mesh.ranges else 1 for mesh in meshes])
     listed = Listed.of(entries.mesh, mesh_ranges, count)
     source = listed.source if mesh_ranges.max(initial=1) > 1 else slice(None)
@@ -261,7 +260,7 @@ def _assemble(
     built.statistics = _description(built, top_size // vectors_per_node)
 
 
-def _range_count(built: BuiltTree, trees: MeshTrees, times: OverTime) -> int:
+def _range_count(built: BuiltTree, trees: MeshTrees, times: OverTime, device: wp.Device) -> int:
     """Ranges of time that have a top level each; those of meshes are known then, where they may be used."""
     if built.range_count == 1 or not (built.range_count or times.may_pay()):
         return 1
@@ -269,15 +268,20 @@ def _range_count(built: BuiltTree, trees: MeshTrees, times: OverTime) -> int:
         if mesh.step_units and built.mesh_ranges:
             mesh.over_time = mesh.over_time or trees.over_time(mesh)
             times.meshes[i] = mesh.over_time
-    return built.range_count or times.count()
+    # building takes the nodes three times
+    return built.range_count or times.count(free_memory(device) // 12)
 
 
-def _keep_ranges(built: BuiltTree, trees: MeshTrees, chosen: Mapping[int, MeshRanges]) -> bool:
-    """Give mesh trees nodes for the ranges `chosen`, and take all others away; whether that changes any."""
-    changed = False
+def _keep_ranges(built: BuiltTree, trees: MeshTrees, times: OverTime, count: int) -> bool:
+    """Give mesh trees nodes for their ranges below `count` top levels, and take all others away; whether that changes
+    any.
+    """
+    chosen, changed = times.chosen(count), False
     for i, mesh in enumerate(built.meshes):
         ranges = chosen.get(i)
         mesh.over_time = [each.without_nodes() for each in mesh.over_time]
+        if i in times.meshes:
+            times.meshes[i] = mesh.over_time
         if (ranges.count if ranges else 1) == (mesh.ranges.count if mesh.ranges else 1):
             continue
         mesh.ranges = trees.in_ranges(mesh, ranges.count) if ranges and ranges.nodes is None else ranges

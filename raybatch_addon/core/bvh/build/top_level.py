@@ -23,6 +23,8 @@ from .time_ranges import RANGE_GAIN_LEAST, RANGES_MOST, best_count, bounds
 
 # Of the entries that change at most so many say how many ranges are worth it
 _LOOKED_AT = 1024
+# What an entry takes in a top level, about: 20,000 took 58 bytes each in the layout BOXES
+_ENTRY_BYTES = 64
 
 
 class TopLevel(NamedTuple):
@@ -95,15 +97,17 @@ class OverTime:
         still, changing = self._whole_costs()
         return changing > RANGE_GAIN_LEAST * (still + changing)
 
-    def count(self) -> int:
-        """The number of ranges that pays: from the areas of boxes and the costs of the trees in them."""
+    def count(self, room: int) -> int:
+        """The number of ranges that pays: from the areas of boxes and the costs of the trees in them; as many as do
+        not need more than `room` [bytes], about.
+        """
         still, changing = self._whole_costs()
-        some = self._changes[:: max(1, len(self._changes) // _LOOKED_AT)]
+        some = self._changes[:: max(1, -(-len(self._changes) // _LOOKED_AT))]
         whole = self._costs(self.whole[some], self._mesh_cost, some).sum()
         if not (self.may_pay() and whole > 0):
             return 1
         costs, count = [still + changing], 2
-        while count <= RANGES_MOST:
+        while count <= RANGES_MOST and count * len(self.whole) * _ENTRY_BYTES <= room:
             share = sum(self._cost_in(k, count, some) for k in range(count)) / (count * whole)
             costs.append(still + share * changing)
             count *= 2

@@ -46,7 +46,7 @@ def place_resident(
     entries = chunk_entries(flat, visibility, tables.chunk_first, tables.baked)
     # trees of chunks have no nodes for ranges of time
     times = OverTime(entries, tables.chunk_box, tables.chunk_sah, np.zeros(len(tables.chunk_box), bool))
-    count = times.count() if room else 1
+    count = times.count(room) if room else 1
     top = build_top_level(entries, [times.boxes(k, count) for k in range(count)], layout, device)
     if count > 1 and VECTOR_BYTES * top.nodes.size + 4 * top.order.size > room:
         top = build_top_level(entries, [times.whole], layout, device)

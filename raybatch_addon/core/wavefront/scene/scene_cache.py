@@ -311,7 +311,12 @@ def _serves(built: BuiltGeometry, plan: TracingPlan) -> bool:
     """
     if isinstance(built, PagedTree):
         return not built.residency.has_failed  # its file is no good; a new one may be
-    return not isinstance(built, BuiltTree) or built.splits_planned or not plan.splits
+    if not isinstance(built, BuiltTree):
+        return True
+    # what waits at treelets has no ranges of time within meshes (`build_scene_tree`)
+    deforms = any(mesh.step_units for mesh in built.meshes)
+    ranges_fit = not deforms or built.mesh_ranges == (plan.method is not Method.BATCHED)
+    return ranges_fit and (built.splits_planned or not plan.splits)
 
 
 def _follow(last: Kept, fingerprint: Fingerprint, flat: FlatGeometry, scene: Scene, device: wp.Device) -> bool:

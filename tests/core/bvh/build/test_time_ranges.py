@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from raybatch_addon.core.bvh.build.entries import entries_of
 from raybatch_addon.core.bvh.build.time_ranges import (
     RANGE_GAIN_LEAST,
     RANGES_MOST,
@@ -10,10 +11,11 @@ from raybatch_addon.core.bvh.build.time_ranges import (
     bounds,
     vertices_between,
 )
-from raybatch_addon.core.bvh.build.top_level import Listed
+from raybatch_addon.core.bvh.build.top_level import Listed, OverTime
 from raybatch_addon.core.bvh.node import Layout
 from raybatch_addon.core.bvh.treelets.cut import CutRule
 from raybatch_addon.core.bvh.treelets.tree import cut_scene_tree
+from raybatch_addon.core.scene.flatten import flatten
 from tests.core.bvh.build.ranges_scenes import crossing, flying, swaying, traced, tree_of
 from tests.support import scenes
 
@@ -131,3 +133,12 @@ def test_cut_trees_have_the_top_levels_of_all_ranges(layout):
     old = built.tree.nodes.numpy().view(layout.node_type).reshape(-1, layout.node_words)[built.tree.top_node :]
     np.testing.assert_array_equal(nodes[cut.tree.top_node :], old[: built.top_first[-1]])
     assert cut.tree.entry_node.numpy().max() < cut.tree.top_node
+
+
+def test_there_are_no_more_top_levels_than_there_is_room_for():
+    entries = entries_of(flatten(flying(50)), np.full(50, 1))
+    count = entries.mesh.max() + 1
+    boxes = np.tile(0.05 * np.array([[-1.0] * 3, [1.0] * 3]), (count, 1, 1))
+    times = OverTime(entries, boxes, np.ones(count), np.zeros(count, bool))
+    assert times.count(1 << 30) == 8
+    assert [times.count(64 * 50 * ranges) for ranges in (1, 2, 7, 8)] == [1, 2, 4, 8]
