@@ -42,7 +42,7 @@ def test_a_step_is_a_share_of_a_pixel_wherever_the_near_plane_is(clip_start):
     assert seen[..., 2] == pytest.approx(1.0)
 
 
-def test_a_step_behind_a_mirror_is_that_of_the_whole_way():
+def test_a_step_behind_a_near_mirror_is_about_that_of_the_way_from_the_camera():
     far, near = 20.0, 0.5  # from the camera to the mirror, and on to the surface
     half = 0.5**0.5
     mirror = np.array([[half, 0, half, 0], [0, 1, 0, 0], [-half, 0, half, 0]])  # faces (1, 0, 1)

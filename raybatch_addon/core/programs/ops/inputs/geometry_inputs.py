@@ -155,8 +155,8 @@ def window_coordinates(data: NodeData, stack: wp.array(dtype=float), pc: int, po
 
 @wp.func
 def pixel_footprint(data: NodeData, point: ShadingPoint) -> float:
-    """Width of a pixel at the distance that the path has come from the camera [m]: at least the way of its last ray,
-    which begins at the near plane or where the path scattered, and at least the straight way.
+    """Width of a pixel at the larger of two distances [m]: that from the camera, and the length of the last ray, which
+    begins at the near plane or where the path scattered. The way of a path that was bent is longer than either.
     """
     width = data.inputs.pixel_width
     if data.inputs.perspective != 0:
