@@ -82,6 +82,13 @@ class BlenderRender:
             scene = bpy.context.scene
             _choose_view_layers(scene, request.view_layers)
             _ask_for_passes(scene, request.passes)
+            if unwritten := _unwritten_passes(scene, request):
+                print_notes(
+                    [
+                        f"{', '.join(unwritten)}: rendered, but written nowhere; give --film FILE.npz, or let the "
+                        "file's output format be OpenEXR MultiLayer"
+                    ]
+                )
             frames = request.frames or (scene.frame_current,)
             _take_over_settings(scene, request)
             if request.strict:
@@ -260,6 +267,19 @@ def _apply_settings(scene: bpy.types.Scene, request: Request) -> None:
     if request.resolution:
         scene.render.resolution_x, scene.render.resolution_y = request.resolution
         scene.render.resolution_percentage = 100
+
+
+def _unwritten_passes(scene: bpy.types.Scene, request: Request) -> list[str]:
+    """Passes that were asked for, and that neither a file nor the compositor will hold."""
+    extension = os.path.splitext(request.out or "")[1].lower()
+    layered = scene.render.image_settings.file_format == "OPEN_EXR_MULTILAYER" and extension in ("", ".exr")
+    composited = scene.render.use_compositing and (
+        getattr(scene, "compositing_node_group", None) or getattr(scene, "node_tree", None)
+    )
+    if request.film or layered or composited:
+        return []
+    heated = {name for name, _ in request.heat_maps}
+    return [name for name in request.passes if name not in heated]
 
 
 def _ask_for_passes(scene: bpy.types.Scene, names: tuple[str, ...]) -> None:

@@ -14,7 +14,7 @@ from raybatch_addon.core.denoise.picture import COMBINED, NOISY_IMAGE
 from raybatch_addon.core.film import Film
 from raybatch_addon.core.scene.cryptomatte import matte_fields
 from raybatch_addon.core.scene.description import Scene
-from raybatch_addon.core.scene.passes import letters_of
+from raybatch_addon.core.scene.passes import DEPTH_OF_NOTHING, letters_of
 
 FORMATS = (".png", ".exr")
 # Colours of heat maps at equal steps from nothing to the largest value, sRGB: brightness grows evenly, for those who
@@ -71,7 +71,7 @@ def display_pixels(combined: np.ndarray) -> np.ndarray:
 
 def write_heat_map(path: Path, values: np.ndarray, name: str) -> None:
     """Write `values` [height, width] of the pass `name` to the PNG `path`, from black for 0 to bright for its largest
-    finite value; names which that is.
+    finite value, beside the depth of nothing; names which that is.
     """
     pixels, largest = heat_pixels(values)
     write_whole(path, lambda temporary: save_png(temporary, pixels))
@@ -81,9 +81,10 @@ def write_heat_map(path: Path, values: np.ndarray, name: str) -> None:
 def heat_pixels(values: np.ndarray) -> tuple[np.ndarray, float]:
     """sRGB pixels, uint8 [height, width, 3], top row first, and the largest finite value, which is the brightest.
 
-    `values` are float32 [height, width], bottom row first; what is infinite is the brightest too.
+    `values` are float32 [height, width], bottom row first; what is infinite, or as deep as where there is nothing, is
+    the brightest too.
     """
-    finite = values[np.isfinite(values)]
+    finite = values[np.isfinite(values) & (values < DEPTH_OF_NOTHING)]
     largest = float(finite.max()) if finite.size and finite.max() > 0 else 1.0
     place = np.clip(values[::-1] / np.float32(largest), 0, 1) * (len(HEAT_COLORS) - 1)
     channels = [np.interp(place, np.arange(len(HEAT_COLORS)), HEAT_COLORS[:, k]) for k in range(3)]

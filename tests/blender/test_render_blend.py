@@ -125,6 +125,15 @@ def test_frames_are_numbered_as_blender_does(blend, tmp_path):
     assert [entry["frame"]["number"] for entry in json.loads((tmp_path / "j.json").read_text())] == [1, 2]
 
 
+def test_passes_that_no_file_will_hold_are_named(blend, tmp_path):
+    """A film or a multilayer file holds them, a heat map its own."""
+    depth = ["-o", tmp_path / "a.png", "--passes", "depth,normal", "--heat-map", f"depth={tmp_path / 'depth.png'}"]
+    done = call_script("render.py", blend, *depth)
+    assert done.returncode == 0 and "Normal: rendered, but written nowhere; give --film" in done.stderr
+    done = call_script("render.py", blend, *depth, "--film", tmp_path / "a.npz")
+    assert done.returncode == 0 and "written nowhere" not in done.stderr
+
+
 def test_settings_of_the_schedule_and_passes_that_show_cost(blend, tmp_path):
     """All settings by name, from the command line; the picture is the same."""
     out = tmp_path / "out"

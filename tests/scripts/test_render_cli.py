@@ -16,6 +16,7 @@ from rendering.pictures import HEAT_COLORS, display_pixels, heat_pixels
 from rendering.standalone import resized
 
 from raybatch_addon.core.scene.archive import load_scene, save_scene
+from raybatch_addon.core.scene.passes import DEPTH_OF_NOTHING
 from raybatch_addon.core.settings.presets import PRESETS, preset_settings
 from raybatch_addon.core.settings.settings import SETTINGS, RenderSettings
 from tests.support.command_line import HIDE_BPY, error_line, run_script
@@ -353,6 +354,7 @@ def test_heat_colors():
         pixels[0] == HEAT_COLORS[-1]
     ).all()  # the first row of values is the bottom
     assert 0 < pixels[1, 1].sum() < HEAT_COLORS[-1].sum()
+    assert heat_pixels(np.array([[3.0, DEPTH_OF_NOTHING]], np.float32))[1] == 3
     pixels, _ = heat_pixels(np.zeros((2, 2), np.float32))
     assert (pixels == HEAT_COLORS[0]).all()
     brightness = HEAT_COLORS @ np.array([0.2126, 0.7152, 0.0722])

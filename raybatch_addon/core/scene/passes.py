@@ -8,6 +8,8 @@ COST_PASSES = ("Rays", "Node Steps", "Triangle Tests", "Treelet Visits", "Times 
 SAMPLE_COUNT = "Sample Count"
 # Passes that the first sample alone decides: an average of them means nothing
 FIRST_SAMPLE_PASSES = ("Depth", "Position", "Object Index", "Material Index")
+# What Blender writes as the depth of nothing [m]
+DEPTH_OF_NOTHING = 1e10
 # Kinds of surfaces' light, by the closures that scatter it where a path scatters first
 COMPONENTS = ("Diffuse", "Glossy", "Transmission")
 COLOR_PASSES = tuple(f"{component} Color" for component in COMPONENTS)

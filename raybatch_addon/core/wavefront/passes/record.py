@@ -9,6 +9,7 @@ import warp as wp
 from ...film.mattes import MatteTile, add_matte
 from ...film.tile import FilmTile
 from ...rays import Rays
+from ...scene.passes import DEPTH_OF_NOTHING
 from ...shading.bsdf.bsdf import ClosureFeatures, make_bsdf
 from ..catchers.copies import is_copy
 from ..rays import Paths
@@ -19,9 +20,6 @@ from ..stages.work import TileWork
 from .colors import ClosuresInView, make_closure_colors
 from .state import PassInputs, add_channels
 from .vectors import motion_vector
-
-# What Blender writes as the depth of nothing [m]
-DEPTH_OF_NOTHING = 1e10
 
 
 @wp.func

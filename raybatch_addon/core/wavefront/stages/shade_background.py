@@ -13,6 +13,7 @@ from ...film.tile import FilmTile
 from ...rays import Rays
 from ...scene.description import LightKind
 from ...scene.features import narrow
+from ...scene.passes import DEPTH_OF_NOTHING
 from ...scene.program import ProgramFeatures
 from ...shading.lights.choice import ChoiceFeatures, LitPoint, make_light_choice
 from ...shading.lights.hits import LightHitFeatures, make_light_hits
@@ -24,7 +25,7 @@ from ...shading.lights.visibility import is_lit_in_part
 from ...shading.lights.world import world_pdf
 from ..passes.guides import note_seen_light
 from ..passes.light import add_to_group, make_add_light, shows_environment, split_light
-from ..passes.record import DEPTH_OF_NOTHING, record_background
+from ..passes.record import record_background
 from ..rays import SHADOW_PASS, Paths, Status, bounce_of, is_clear, left_point, visibility_of
 from ..scene.shading_data import SceneData
 from .emitted import make_world_emission
