@@ -14,7 +14,7 @@ from benchmarking.scenes import BenchmarkScene
 from benchmarking.timing import seconds_of, slices
 from benchmarking.tracers.interface import Hits, MeasuredTracer, Timing, Tree
 from raybatch_addon.core.bvh.build.scene_tree import build_scene_tree, layout_for, splits_triangles
-from raybatch_addon.core.bvh.traverse.counts import LANE_PARTS, TraceCounts
+from raybatch_addon.core.bvh.traverse.counts import LANE_PARTS, counts_of
 from raybatch_addon.core.bvh.traverse.options import TraceOptions
 from raybatch_addon.core.bvh.traverse.reference import build_reference
 from raybatch_addon.core.device.devices import load_kernels
@@ -162,11 +162,7 @@ class StageTracer(MeasuredTracer):
         if not self._counts:
             return super().work()
         stage, count = self._stage(self._any_hit, counters=True), len(self._rays.t_max)
-        reported = TraceCounts()
-        reported.node_steps, reported.box_tests, reported.triangle_tests = (
-            wp.zeros(count, dtype=int, device=self._device) for _ in range(3)
-        )
-        reported.lanes = wp.zeros(2 * len(LANE_PARTS), dtype=wp.int64, device=self._device)
+        reported = counts_of(count, self._device)
         for part in self._parts:
             stage.launch(self._built.tree, self._rays, part.in_order or part.listed, reported)
         found = {

@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from raybatch_addon.core.bvh.build.scene_tree import BuiltTree, build_scene_tree, layout_for
-from raybatch_addon.core.bvh.traverse.counts import TraceCounts
+from raybatch_addon.core.bvh.traverse.counts import counts_of
 from raybatch_addon.core.bvh.traverse.options import TraceOptions
 from raybatch_addon.core.device.devices import load_kernels
 from raybatch_addon.core.rays import RayList
@@ -50,10 +50,7 @@ def trace(built: BuiltTree, aimed: AimedRays, device: wp.Device, runs: int = 3) 
     listed = RayList(
         wp.array(np.arange(count), dtype=int, device=device), wp.array([count], dtype=int, device=device), count
     )
-    counts = TraceCounts()
-    for name in ("node_steps", "box_tests", "triangle_tests"):
-        setattr(counts, name, wp.zeros(count, dtype=int, device=device))
-    counts.lanes = wp.zeros(6, dtype=wp.int64, device=device)
+    counts = counts_of(count, device)
     rays.visibility.fill_(31)
 
     def run(counted: bool) -> float:

@@ -7,7 +7,7 @@ import warp as wp
 
 from raybatch_addon.core.bvh.build.scene_tree import BuiltTree, build_scene_tree
 from raybatch_addon.core.bvh.node import Layout
-from raybatch_addon.core.bvh.traverse.counts import TraceCounts
+from raybatch_addon.core.bvh.traverse.counts import counts_of
 from raybatch_addon.core.bvh.traverse.options import TraceOptions
 from raybatch_addon.core.device.devices import load_kernels
 from raybatch_addon.core.rays import RayList
@@ -130,10 +130,7 @@ def traced(built: BuiltTree, counted: bool = False, any_hit: bool = False) -> di
     listed = RayList(
         wp.array(np.arange(RAYS), dtype=int, device=device), wp.array([RAYS], dtype=int, device=device), RAYS
     )
-    counts = TraceCounts()
-    for name in ("node_steps", "box_tests", "triangle_tests"):
-        setattr(counts, name, wp.zeros(RAYS, dtype=int, device=device))
-    counts.lanes = wp.zeros(6, dtype=wp.int64, device=device)
+    counts = counts_of(RAYS, device)
     curves = bool(np.isnan(built.tree.triangles.numpy()).any())
     options = TraceOptions(any_hit=any_hit, instancing=True, motion=True, counters=counted, curves=curves)
     stage = trace_stage(built.layout, options)

@@ -7,7 +7,7 @@ import pytest
 import warp as wp
 
 from raybatch_addon.core.bvh.build.binary import BuildOptions
-from raybatch_addon.core.bvh.traverse.counts import TraceCounts
+from raybatch_addon.core.bvh.traverse.counts import counts_of
 from tests.core.bvh.traverse.quantised_scenes import (
     ANY,
     CLOSEST,
@@ -176,10 +176,7 @@ def test_counters(device, refill):
     rays = make_rays(origin, direction, device)
     options = dataclasses.replace(CLOSEST, refill=refill)
     expected = trace(tree, rays, options)
-    counts = TraceCounts()
-    for name in ("node_steps", "box_tests", "triangle_tests"):
-        setattr(counts, name, wp.zeros(500, dtype=int, device=device))
-    counts.lanes = wp.zeros(6, dtype=wp.int64, device=device)
+    counts = counts_of(500, device)
     expected.check_same(trace(tree, rays, dataclasses.replace(options, counters=True), counts=counts))
     nodes, boxes, tests = counts.node_steps.numpy(), counts.box_tests.numpy(), counts.triangle_tests.numpy()
     busy, there = counts.lanes.numpy().reshape(3, 2).T
