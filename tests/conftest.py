@@ -12,6 +12,7 @@ from tests.support.under_test import DEVICE
 
 pytest_plugins = ["tests.support.running.run_seconds"]
 FAST_SECONDS = 3.0  # a file of tests that takes less is among the fast ones
+NO_CPU_COMPILER = "this machine cannot compile kernels for the CPU"
 ALSO_FAST = ("test_architecture.py",)  # takes longer, but fails for what is easily mended
 
 # Compiled kernels stay in the clone, for this run's subprocesses and the next run alike
@@ -78,6 +79,18 @@ def session(device, tmp_path_factory):
     opened.close()
 
 
+@pytest.fixture(scope="session")
+def cpu_compiler():
+    """For tests whose processes compile for the CPU: they are skipped where Warp has no compiler for it."""
+    import warp as wp
+
+    from raybatch_addon.core.device.devices import start_warp
+
+    start_warp()
+    if wp._src.context.runtime.llvm is None:
+        pytest.skip(NO_CPU_COMPILER)
+
+
 @pytest.fixture
 def general_kernels():
     """Renders are by kernels that tests share: to compile specialised ones would take most of a test's time."""
@@ -87,12 +100,23 @@ def general_kernels():
         yield
 
 
-@pytest.hookimpl(wrapper=True)
-def pytest_pyfunc_call(pyfuncitem):
+def without_cpu_compiler():
     """Tests that compile for the CPU are skipped on machines whose Warp has no compiler for it."""
     try:
         return (yield)
     except Exception as error:
         if "wp_compile_cpp" in str(error):
-            pytest.skip("this machine cannot compile kernels for the CPU")
+            pytest.skip(NO_CPU_COMPILER)
         raise
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_pyfunc_call(pyfuncitem):
+    """Run a test."""
+    return (yield from without_cpu_compiler())
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_fixture_setup(fixturedef, request):
+    """Make a fixture."""
+    return (yield from without_cpu_compiler())

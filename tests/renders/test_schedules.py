@@ -163,6 +163,7 @@ def run(capfd, *arguments):
     return code, json.loads(captured.out) if captured.out else {}, captured.err
 
 
+@pytest.mark.usefixtures("cpu_compiler")
 def test_the_script_finds_nothing_where_all_is_well(saved, device, capfd):
     code, report, reported = run(
         capfd, "--scene", saved, saved, "--device", device, "--count", 4, "--size", 12, "--samples", 1, "--seed", 5

@@ -137,6 +137,7 @@ def test_a_compiler_is_stopped_when_nobody_waits(folder):
     assert works(kernel), "the next one that asks gets it"
 
 
+@pytest.mark.usefixtures("cpu_compiler")
 def test_a_session_that_is_closed_compiles_no_longer(shared_folder, monkeypatch):
     """A cancelled render leaves its compilers to the next one; a closed session has none."""
     begun, results = threading.Event(), []
@@ -180,6 +181,7 @@ while not compiler._running:
 """
 
 
+@pytest.mark.usefixtures("cpu_compiler")
 def test_a_process_ends_in_the_middle_of_compiling(tmp_path):
     """It waits for its threads, and they for compilers."""
     done = subprocess.run(

@@ -169,6 +169,7 @@ def test_a_read_only_folder_with_kernels_serves(tmp_path):
 
 @ON_LINUX
 @pytest.mark.parametrize("size", ["16k", "2m", "4556k"])  # no room for a folder, for the header, for kernels
+@pytest.mark.usefixtures("cpu_compiler")
 def test_a_full_disk_is_said_and_kernels_are_compiled_elsewhere(tmp_path, size):
     """The compiler ends its process where it cannot write: it must not be this one."""
     done = in_small_disk(process_command(tmp_path), tmp_path, f"size={size}")

@@ -52,7 +52,7 @@ def parsed_headers(folder):
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
+def folder(tmp_path_factory, cpu_compiler):
     folder = tmp_path_factory.mktemp("kernels")
     compile_kernels(folder, "1", "2", "3")
     return folder
