@@ -20,6 +20,7 @@ from .declared import is_known
 from .kept_kernels import folders, spare_folder
 from .kernel import block_size_of
 from .loading import find_files, is_loaded, load, load_here_what_is_launched
+from .local_arrays import set_local_arrays_once
 from .precompiled_header import share_precompiled_header
 from .ready import write_notes
 
@@ -58,6 +59,7 @@ def _initialize_warp() -> None:
         wp.init()
     compile_apart()
     pass_structs_by_reference()
+    set_local_arrays_once()
     share_precompiled_header()
     load_here_what_is_launched()
 

@@ -34,6 +34,8 @@ KERNEL_OPTIONS: dict[str, Any] = unique_options(MODULE_OPTIONS)
 # fast as inlined; where all stages are one kernel, surfaces are 5 to 8 % slower, and volumes a quarter.
 OUT_OF_LINE_OPTIONS: dict[str, Any] = {**MODULE_OPTIONS, "cpu_compiler_flags": _cpu_flags(1000)}
 OUT_OF_LINE_KERNEL_OPTIONS: dict[str, Any] = unique_options(OUT_OF_LINE_OPTIONS)
+# By these modules of the core are known
+OUR_FLAGS = {each["cpu_compiler_flags"] for each in (MODULE_OPTIONS, OUT_OF_LINE_OPTIONS)}
 
 # An environment variable for who compiles much and renders little: OUT_OF_LINE says that specialised kernels of stages,
 # volumes and estimates are compiled as large modules of the general tier are. By default they are INLINED, and most

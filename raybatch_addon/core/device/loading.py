@@ -28,14 +28,13 @@ from .kept_kernels import (
     seal,
     spare_folder,
 )
-from .kernel import MODULE_OPTIONS, OUT_OF_LINE_OPTIONS
+from .kernel import OUR_FLAGS
 from .notes import compiling_noted
 from .shipped import refuse, shipped_files
 
 _TRIES = 3  # another process may take away what is damaged, just when it was found
 _lock = threading.Lock()
 _locks: dict[int, threading.Lock] = {}
-_OUR_FLAGS = {each["cpu_compiler_flags"] for each in (MODULE_OPTIONS, OUT_OF_LINE_OPTIONS)}
 _local = threading.local()
 _failed: dict[tuple[str, str], str] = {}  # complaints by module and device: it is not compiled again
 
@@ -99,7 +98,7 @@ def load_here_what_is_launched() -> None:
             key in module.execs  # first: each launch comes by here
             or binary_path is not None
             or options
-            or module.options["cpu_compiler_flags"] not in _OUR_FLAGS
+            or module.options["cpu_compiler_flags"] not in OUR_FLAGS
         ):
             return within(module, device, block_dim, binary_path, **options)
         load(module, device, size)

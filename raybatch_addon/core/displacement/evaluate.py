@@ -10,6 +10,7 @@ import warp as wp
 
 from ..device.devices import load_module
 from ..device.kernel import KERNEL_OPTIONS
+from ..device.local_arrays import Unset
 from ..programs.op import NodeData
 from ..programs.point import ShadingPoint
 from ..programs.run import make_run
@@ -54,7 +55,7 @@ def make_displace(programs: ProgramFeatures) -> wp.Function:
         point.barycentric = work.barycentric[i]
         point.ray_kind = wp.static(int(Visibility.CAMERA))
         stack = wp.zeros(wp.static(programs.register_count), dtype=float)
-        records = wp.zeros(wp.static(programs.closure_count * RECORD_FLOATS), dtype=float)
+        records = wp.zeros(wp.static(programs.closure_count * RECORD_FLOATS), dtype=Unset)
         closures = wp.array(ptr=address_of(records), shape=(wp.static(programs.closure_count),), dtype=ClosureRecord)
         offset = wp.vec3(0.0)
         if run(data, stack, data.program_first[work.program[i]], point, closures) > 0:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import warp as wp
 
+from ...device.local_arrays import Unset
 from ...errors import SceneError
 from ...native.build import native_source
 from ...native.structs import record_type, upload_records
@@ -149,7 +150,7 @@ RECORD_FLOATS = ClosureRecord.numpy_dtype()["itemsize"] // 4
 
 
 @wp.func_native(native_source("math/address.h", FIRST="0"))
-def address_of(values: wp.array(dtype=float)) -> wp.uint64: ...
+def address_of(values: wp.array(dtype=Unset)) -> wp.uint64: ...
 
 
 @wp.func_native(native_source("math/address.h", FIRST="first"))

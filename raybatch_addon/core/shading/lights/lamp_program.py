@@ -11,6 +11,7 @@ import functools
 import numpy as np
 import warp as wp
 
+from ...device.local_arrays import Unset
 from ...float32 import LARGEST
 from ...programs.inputs_data import InputData, inverses, upload_camera_inputs
 from ...programs.op import NodeData
@@ -172,7 +173,7 @@ def make_lamp_emission(programs: ProgramFeatures) -> wp.Function:
         point.bounce = bounce
         point.passed = passed
         stack = wp.zeros(wp.static(programs.register_count), dtype=float)
-        records = wp.zeros(wp.static(programs.closure_count * RECORD_FLOATS), dtype=float)
+        records = wp.zeros(wp.static(programs.closure_count * RECORD_FLOATS), dtype=Unset)
         closures = wp.array(ptr=address_of(records), shape=(wp.static(programs.closure_count),), dtype=ClosureRecord)
         count = run(nodes, stack, nodes.program_first[lamp], point, closures)
         total = wp.vec3(0.0)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import warp as wp
 
+from ...device.local_arrays import Unset
 from ...film.tile import FilmTile
 from ...programs.run import make_run
 from ...rays import Rays
@@ -85,7 +86,7 @@ def make_occlusion(features: OcclusionFeatures) -> wp.Function:
         path: int,
         program: int,
         surface: SurfacePoint,
-        records: wp.array(dtype=float),
+        records: wp.array(dtype=Unset),
         is_own: bool,
     ) -> int:
         """Closures where the path's ray, or the one in its place, met `surface`; their number."""
@@ -187,7 +188,7 @@ def make_occlusion(features: OcclusionFeatures) -> wp.Function:
         )
         frame = shading_frame(surface, -rays.direction[path])
         if wp.static(bool(programs)):
-            records = wp.zeros(wp.static(programs.closure_count * RECORD_FLOATS), dtype=float)
+            records = wp.zeros(wp.static(programs.closure_count * RECORD_FLOATS), dtype=Unset)
             address = fixed_closures(data, surface.material)
             first = int(0)
             end = fixed_closure_count(data, surface.material)

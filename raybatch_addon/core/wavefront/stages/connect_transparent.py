@@ -8,6 +8,7 @@ import functools
 
 import warp as wp
 
+from ...device.local_arrays import Unset
 from ...film.tile import FilmTile
 from ...rays import Rays
 from ...scene.description import Visibility
@@ -88,7 +89,7 @@ def make_connect_transparent(features: SurfaceFeatures, connect: ConnectFeatures
                         if wp.static(features.path_history):
                             point.history = paths.shadow_history[path] & wp.static(DEPTHS)
                         point.passed = passed / wp.static(SHADOW_PASS)
-                        records = wp.zeros(wp.static(programs.closure_count * RECORD_FLOATS), dtype=float)
+                        records = wp.zeros(wp.static(programs.closure_count * RECORD_FLOATS), dtype=Unset)
                         end = run_surface(data, program, point, records)
                         address = address_of(records)
                     else:

@@ -4,6 +4,7 @@ import functools
 
 import warp as wp
 
+from ...device.local_arrays import Unset
 from ...float32 import LARGEST
 from ...programs.point import ShadingPoint
 from ...programs.run import make_run
@@ -45,7 +46,7 @@ def make_world_emission(programs: ProgramFeatures) -> wp.Function:
         point.bounce = bounce
         point.passed = passed
         stack = wp.zeros(wp.static(programs.register_count), dtype=float)
-        records = wp.zeros(wp.static(programs.closure_count * RECORD_FLOATS), dtype=float)
+        records = wp.zeros(wp.static(programs.closure_count * RECORD_FLOATS), dtype=Unset)
         closures = wp.array(ptr=address_of(records), shape=(wp.static(programs.closure_count),), dtype=ClosureRecord)
         return emission_of(closures, run(data.world_nodes, stack, data.world_nodes.program_first[0], point, closures))
 
@@ -82,7 +83,7 @@ def make_surface_emission(programs: ProgramFeatures, instancing: bool, smooth_no
         address = fixed_closures(data, surface.material)
         count = int(0)
         if program >= 0:
-            records = wp.zeros(wp.static(programs.closure_count * RECORD_FLOATS), dtype=float)
+            records = wp.zeros(wp.static(programs.closure_count * RECORD_FLOATS), dtype=Unset)
             count = run_surface(data, program, point, records)
             address = address_of(records)
         else:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from ...device.local_arrays import Unset
 from ...scene.description import Grid, Mesh, Scene, Visibility
 from ...scene.frozen import fact
 from ...scene.geometry import transform_point
@@ -88,7 +89,7 @@ def make_bound(programs: ProgramFeatures, emission: bool = False) -> wp.Function
         box = volumes.asked.boxes[i / per_box]
         cell = i % per_box
         inside = wp.vec4i(box.code, 0, 0, 0)
-        floats = wp.zeros(wp.static(LOBES_MOST * PHASE_LOBE_FLOATS), dtype=float)
+        floats = wp.zeros(wp.static(LOBES_MOST * PHASE_LOBE_FLOATS), dtype=Unset)
         lobes = wp.array(ptr=address_of(floats), shape=(wp.static(LOBES_MOST),), dtype=PhaseLobe)
         emitted = wp.vec2(0.0)
         points = int(CELL_POINTS)

@@ -6,6 +6,7 @@ import functools
 
 import warp as wp
 
+from ...device.local_arrays import Unset
 from ...float32 import UNIT_ROUNDOFF
 from ...programs.point import IN_VOLUME, ShadingPoint
 from ...programs.run import make_run
@@ -94,7 +95,7 @@ def make_medium(programs: ProgramFeatures) -> wp.Function:
                         here.instance = found[0]
                         here.primitive = wp.static(IN_VOLUME)
                         stack = wp.zeros(wp.static(programs.register_count), dtype=float)
-                        records = wp.zeros(wp.static(programs.closure_count * RECORD_FLOATS), dtype=float)
+                        records = wp.zeros(wp.static(programs.closure_count * RECORD_FLOATS), dtype=Unset)
                         address = address_of(records)
                         made = wp.array(ptr=address, shape=(wp.static(programs.closure_count),), dtype=ClosureRecord)
                         count = run(volumes.nodes, stack, word, here, made)

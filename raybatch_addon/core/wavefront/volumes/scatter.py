@@ -13,6 +13,7 @@ import functools
 
 import warp as wp
 
+from ...device.local_arrays import Unset
 from ...rays import Rays
 from ...scene.description import LightKind
 from ...scene.features import narrow
@@ -134,9 +135,9 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
         length = rays.t_max[path]
         if hit:
             length = rays.hit_t[path]
-        floats = wp.zeros(wp.static(LOBES_MOST * PHASE_LOBE_FLOATS), dtype=float)
+        floats = wp.zeros(wp.static(LOBES_MOST * PHASE_LOBE_FLOATS), dtype=Unset)
         lobes = wp.array(ptr=address_of(floats), shape=(wp.static(LOBES_MOST),), dtype=PhaseLobe)
-        lit_floats = wp.zeros(wp.static(LOBES_MOST * PHASE_LOBE_FLOATS), dtype=float)
+        lit_floats = wp.zeros(wp.static(LOBES_MOST * PHASE_LOBE_FLOATS), dtype=Unset)
         lit_lobes = wp.array(ptr=address_of(lit_floats), shape=(wp.static(LOBES_MOST),), dtype=PhaseLobe)
         bounce = bounce_of(status)
         goes_on = (volumes.state.lit[path] & wp.static(GOES_ON)) != 0

@@ -6,6 +6,7 @@ import functools
 
 import warp as wp
 
+from ...device.local_arrays import Unset
 from ...float32 import UNIT_ROUNDOFF
 from ...programs.point import IN_VOLUME, ShadingPoint
 from ...scene.program import ProgramFeatures
@@ -62,7 +63,7 @@ def make_passed(programs: ProgramFeatures) -> wp.Function:
         if wp.static(varies):
             if varies_along(volumes, inside):
                 return transmitted(volumes, inside, point, reach, stream)
-        floats = wp.zeros(wp.static(LOBES_MOST * PHASE_LOBE_FLOATS), dtype=float)
+        floats = wp.zeros(wp.static(LOBES_MOST * PHASE_LOBE_FLOATS), dtype=Unset)
         lobes = wp.array(ptr=address_of(floats), shape=(wp.static(LOBES_MOST),), dtype=PhaseLobe)
         m = medium(volumes, inside, point, lobes)
         return passes(m.extinction, reach)

@@ -17,6 +17,7 @@ import functools
 
 import warp as wp
 
+from ...device.local_arrays import Unset
 from ...programs.point import ShadingPoint
 from ...scene.program import ProgramFeatures
 from ...shading.bsdf.materials import address_of
@@ -90,7 +91,7 @@ def make_shining(programs: ProgramFeatures) -> wp.Function:
 
     @wp.func
     def shining(volumes: VolumeData, inside: wp.vec4i, point: ShadingPoint) -> wp.vec3:
-        floats = wp.zeros(wp.static(LOBES_MOST * PHASE_LOBE_FLOATS), dtype=float)
+        floats = wp.zeros(wp.static(LOBES_MOST * PHASE_LOBE_FLOATS), dtype=Unset)
         lobes = wp.array(ptr=address_of(floats), shape=(wp.static(LOBES_MOST),), dtype=PhaseLobe)
         m = medium(volumes, inside, point, lobes)
         if wp.static(varies):
@@ -184,7 +185,7 @@ def make_transmitted(programs: ProgramFeatures) -> wp.Function:
     def transmitted(
         volumes: VolumeData, inside: wp.vec4i, point: ShadingPoint, length: float, stream: wp.uint32
     ) -> wp.vec3:
-        floats = wp.zeros(wp.static(LOBES_MOST * PHASE_LOBE_FLOATS), dtype=float)
+        floats = wp.zeros(wp.static(LOBES_MOST * PHASE_LOBE_FLOATS), dtype=Unset)
         lobes = wp.array(ptr=address_of(floats), shape=(wp.static(LOBES_MOST),), dtype=PhaseLobe)
         direction = -point.incoming
         begin = point.position

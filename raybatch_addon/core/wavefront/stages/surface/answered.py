@@ -6,6 +6,7 @@ import functools
 
 import warp as wp
 
+from ....device.local_arrays import Unset
 from ....programs.ops.inputs.ray_inputs import ANSWERS, KNOWN
 from ....programs.ops.textures.image_levels import CHANCE, FOOTPRINT
 from ....programs.point import ShadingPoint
@@ -46,7 +47,7 @@ def make_answered_program(features: ProgramFeatures) -> wp.Function:
         path: int,
         first: int,
         point: ShadingPoint,
-        records: wp.array(dtype=float),
+        records: wp.array(dtype=Unset),
         width: float,
         chance: float,
     ) -> int:

@@ -18,6 +18,7 @@ import functools
 
 import warp as wp
 
+from ....device.local_arrays import Unset
 from ....float32 import PI
 from ....programs.op import NodeData
 from ....programs.ops.textures.image_levels import CHANCE, FOOTPRINT
@@ -121,7 +122,7 @@ def make_filtered_program(features: ProgramFeatures) -> wp.Function:
 
     @wp.func
     def run_filtered(
-        data: SceneData, first: int, point: ShadingPoint, records: wp.array(dtype=float), width: float, chance: float
+        data: SceneData, first: int, point: ShadingPoint, records: wp.array(dtype=Unset), width: float, chance: float
     ) -> int:
         stack = wp.zeros(wp.static(features.register_count), dtype=float)
         closures = wp.array(ptr=address_of(records), shape=(wp.static(features.closure_count),), dtype=ClosureRecord)

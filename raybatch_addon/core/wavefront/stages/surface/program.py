@@ -4,6 +4,7 @@ import functools
 
 import warp as wp
 
+from ....device.local_arrays import Unset
 from ....programs.op import NodeData
 from ....programs.ops.inputs.geometry_inputs import footprint_axis, pixel_footprint
 from ....programs.point import ShadingPoint
@@ -114,7 +115,7 @@ def make_surface_program(features: ProgramFeatures) -> wp.Function:
     bumps = "bump" in features.ops
 
     @wp.func
-    def run_surface(data: SceneData, first: int, point: ShadingPoint, records: wp.array(dtype=float)) -> int:
+    def run_surface(data: SceneData, first: int, point: ShadingPoint, records: wp.array(dtype=Unset)) -> int:
         stack = wp.zeros(wp.static(features.register_count), dtype=float)
         closures = wp.array(ptr=address_of(records), shape=(wp.static(features.closure_count),), dtype=ClosureRecord)
         if wp.static(bumps):

@@ -8,6 +8,7 @@ import functools
 
 import warp as wp
 
+from ....device.local_arrays import Unset
 from ....film.tile import FilmTile
 from ....rays import Rays
 from ....scene.description import ClosureKind, Visibility
@@ -141,7 +142,7 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
                 point.passed = v.passed
                 if wp.static(features.path_history):
                     point.history = paths.history[path]
-                records = wp.zeros(wp.static(programs.closure_count * RECORD_FLOATS), dtype=float)
+                records = wp.zeros(wp.static(programs.closure_count * RECORD_FLOATS), dtype=Unset)
                 if wp.static(features.texture_levels):
                     width = cone_width(path_cone(data.nodes, paths, path, v.bounce), point.ray_length)
                     chance = sample_1d(v.key, v.pixel.sample, v.dimension + wp.uint32(TEXTURE))
@@ -176,7 +177,7 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
                     for c in range(first, end):
                         if made[c].kind == wp.static(int(ClosureKind.SUBSURFACE)):
                             white.normal = made[c].normal
-                    one = wp.zeros(wp.static(RECORD_FLOATS), dtype=float)
+                    one = wp.zeros(wp.static(RECORD_FLOATS), dtype=Unset)
                     whites = wp.array(ptr=address_of(one), shape=(1,), dtype=ClosureRecord)
                     whites[0] = white
                     address = address_of(one)
@@ -229,7 +230,7 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
                 paths.status[path] = status | wp.static(_ENDED)
                 return
 
-        of_lobes = wp.zeros(wp.static(lobes_most * LOBE_FLOATS), dtype=float)
+        of_lobes = wp.zeros(wp.static(lobes_most * LOBE_FLOATS), dtype=Unset)
         lobes = wp.array(ptr=address_of(of_lobes), shape=(wp.static(lobes_most),), dtype=Lobe)
         look(closures, first, end, data.materials.albedo, frame, wo, lobes)
         if wp.static(features.guides or features.records_surfaces):
@@ -247,7 +248,7 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
         if wp.static(features.lacks_caustics):
             leave_out_caustics(limits, closures, first, end, lobes, visibility_of(status))
         if wp.static(features.changes_closures):  # colours are those of the facets as they are
-            of_own = wp.zeros(wp.static(lobes_most * RECORD_FLOATS), dtype=float)
+            of_own = wp.zeros(wp.static(lobes_most * RECORD_FLOATS), dtype=Unset)
             own = wp.array(ptr=address_of(of_own), shape=(wp.static(lobes_most),), dtype=ClosureRecord)
             where = address_of_closure(closures, 0)
             if change(limits, paths, path, status, v.bounce, closures, first, end, own):
