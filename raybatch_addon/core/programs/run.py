@@ -6,14 +6,16 @@ from types import SimpleNamespace
 
 import warp as wp
 
+from ..device.local_arrays import Unset
 from ..scene.program import ProgramFeatures
-from ..shading.bsdf.materials import ClosureRecord
+from ..shading.bsdf.materials import ClosureRecord, address_of
 from .op import NodeData, op_named, op_numbers
 from .point import ShadingPoint
 
 END = 0
 # The low bits of an instruction are the op, the bits above count its words
 LENGTH_SHIFT = 16
+_POINT_FLOATS = ShadingPoint.numpy_dtype()["itemsize"] // 4
 
 
 @functools.cache
@@ -41,7 +43,8 @@ def make_run(features: ProgramFeatures) -> wp.Function:
         point: ShadingPoint,
         closures: wp.array(dtype=ClosureRecord),
     ) -> int:
-        points = wp.zeros(1, dtype=ShadingPoint)
+        floats = wp.zeros(wp.static(_POINT_FLOATS), dtype=Unset)
+        points = wp.array(ptr=address_of(floats), shape=(1,), dtype=ShadingPoint)
         points[0] = point
         stored = wp.array(ptr=data.stored, shape=(1,), dtype=NodeData)
         return interpret(data.code, stored, stack, first, points, closures)

@@ -143,9 +143,8 @@ class ClosureRecord:
     mean_cosine: float
 
 
-# Floats of a record: kernels reserve local arrays of records as floats, `wp.zeros(n * RECORD_FLOATS, dtype=float)`, and
-# see them through `wp.array(ptr=address_of(floats), ...)`. Warp sets a local array of structs to zero four times before
-# it is used, field by field: 16 records took a GPU longer than the rest of a simple surface.
+# Floats of a record: kernels reserve local arrays of records as `wp.zeros(n * RECORD_FLOATS, dtype=Unset)`, which are
+# not set to zero, and see them through `wp.array(ptr=address_of(floats), ...)`.
 RECORD_FLOATS = ClosureRecord.numpy_dtype()["itemsize"] // 4
 
 
