@@ -20,6 +20,7 @@ from .bvh.memory import GeometrySize
 from .checkpoint.checkpoint import Checkpoint
 from .device.compiler import CompileStoppedError
 from .device.devices import find_device, free_memory, load_kernels, start_warp, warp_cache_folder
+from .device.failures import names_failures
 from .displacement.displaced import is_displaced
 from .film import Film
 from .film.tile import FinishedTile, add_integers_kernel
@@ -91,6 +92,7 @@ class Session:
         kernels = kernels_ahead(features, self.settings, self.device)
         return load_kernels(kernels, self.device, on_progress or (lambda *_: None))
 
+    @names_failures
     def render(
         self,
         scene: Scene,

@@ -272,7 +272,7 @@ class Soak:
                 "memory_bytes": memory_bytes(),
                 "threads": threading.active_count(),
                 "objects": len(bpy.data.objects),
-                "pictures": self.watch.shown,
+                "pictures": self.watch.pictures,
             }
         )
         print(self.records[-1], flush=True)

@@ -25,6 +25,7 @@ class Watch:
         self.viewport: Any = None  # that was drawn last
         self.shown = 0  # the number of the request whose picture was drawn last
         self.when_shown = 0.0  # of the first draw of that request [s]
+        self.pictures = 0  # of requests, drawn so far
 
     def begin(self) -> bool:
         """Look at callbacks from now on, if the module is there yet."""
@@ -56,6 +57,7 @@ class Watch:
             self.viewport, self.shown = viewport, 0
         if picture is not None and picture.request.number > self.shown:
             self.shown, self.when_shown = picture.request.number, now
+            self.pictures += 1
         if viewport.status()[1] and (viewport._error or viewport.render.state.error):
             self.errors.append(viewport.status()[1])
 
@@ -170,7 +172,7 @@ def every(seconds: float, step: Callable[[], bool]) -> None:
         bpy.ops.wm.quit_blender()
         return None
 
-    bpy.app.timers.register(call, first_interval=2.0)
+    bpy.app.timers.register(call, first_interval=2.0, persistent=True)  # also behind another file
 
 
 def write(path: str, report: dict[str, Any]) -> None:
