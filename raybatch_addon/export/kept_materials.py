@@ -80,7 +80,7 @@ class KeptMaterials(KeptGraphs):
         if material is None or not has_nodes(material):
             return None
         own = material.pass_index, material.displacement_method, tuple(material.diffuse_color)
-        return self.graph_signature(material, *own, emission_sampling(material))
+        return self.graph_signature(material, *own, emission_sampling(material), material.use_transparent_shadow)
 
     def find_untouched(self, material: bpy.types.Material | None) -> tuple[Material, list[str]] | None:
         """Find a material as `find` does, one that no edit touched, without its signature."""

@@ -176,6 +176,8 @@ def export_material(
         displacement=displacement,
         displacement_bends=moves and bends,
         volume=volume,
+        # as in Cycles, where what has a volume is looked at whatever the material says
+        shadow_opaque=volume is None and not material.use_transparent_shadow,
     ), [*compiled.notes, *notes]
 
 

@@ -172,7 +172,8 @@ def test_the_other_panels_draw_what_exists(scene):
     assert "visible_glossy" in drawn_properties["RAYBATCH_OBJECT_PT_ray_visibility"]
     assert {"use_strand", "use_volumes"} <= set(drawn_properties["RAYBATCH_VIEWLAYER_PT_filter"])
     assert {"spread", "is_portal"} <= set(drawn_properties["RAYBATCH_LIGHT_PT_settings"])
-    assert {"displacement_method", "emission_sampling"} <= set(drawn_properties["RAYBATCH_MATERIAL_PT_settings"])
+    of_material = {"displacement_method", "use_transparent_shadow", "emission_sampling"}
+    assert of_material <= set(drawn_properties["RAYBATCH_MATERIAL_PT_settings"])
     assert "glossy" in drawn_properties["RAYBATCH_WORLD_PT_ray_visibility"]
     assert "sampling_method" in drawn_properties["RAYBATCH_WORLD_PT_settings"]
     every = set(drawn_properties["RAYBATCH_VIEWLAYER_PT_passes"])

@@ -245,6 +245,7 @@ class Material:
     displacement_bends: bool = False  # `program` bends the normals of surfaces by the displacement too
     volume: Volume | None = None  # what fills the surfaces of this material; None: nothing
     aimed: bool = True  # light is aimed at what emits; else rays that meet it by chance find all of its light
+    shadow_opaque: bool = False  # shadow rays end here, whatever of the surface is transparent
 
 
 @dataclass(frozen=True)

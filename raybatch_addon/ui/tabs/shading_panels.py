@@ -24,6 +24,7 @@ class RAYBATCH_MATERIAL_PT_settings(EnginePanel, bpy.types.Panel):
     def draw(self, context):
         layout = split_layout(self.layout)
         layout.prop(context.material, "displacement_method", text="Displacement")
+        layout.prop(context.material, "use_transparent_shadow")
         layout.prop(context.material, "pass_index")
         if hasattr(context.material, "cycles"):
             layout.prop(context.material.cycles, "emission_sampling")

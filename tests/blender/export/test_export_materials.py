@@ -378,6 +378,16 @@ def test_nothing_linked_is_black_and_a_volume_alone_has_no_surface():
     assert closure.kind == K.HENYEY_GREENSTEIN and np.allclose(closure.weight, 0.8)
 
 
+@pytest.mark.parametrize(("filled", "opaque"), [(False, True), (True, False)])
+def test_shadow_rays_look_at_what_has_a_volume_whatever_it_says(filled, opaque):
+    material, tree, surface = new_material()
+    tree.links.new(tree.nodes.new("ShaderNodeBsdfTransparent").outputs[0], surface)
+    if filled:
+        tree.links.new(tree.nodes.new("ShaderNodeVolumeAbsorption").outputs[0], surface.node.inputs["Volume"])
+    material.use_transparent_shadow = False
+    assert export_material(material)[0].shadow_opaque == opaque
+
+
 def test_the_output_for_cycles_counts_before_others():
     material, tree, surface = new_material()
     tree.links.new(add_node(tree, "ShaderNodeBsdfDiffuse", Color=RED).outputs[0], surface)

@@ -59,7 +59,8 @@ def same(a, b):
     if a.program is None or b.program is None:
         return a == b
     return (
-        (a.name, a.closures, a.kinds, a.aimed) == (b.name, b.closures, b.kinds, b.aimed)
+        (a.name, a.closures, a.kinds, a.aimed, a.shadow_opaque)
+        == (b.name, b.closures, b.kinds, b.aimed, b.shadow_opaque)
         and a.program.instructions == b.program.instructions
         and np.array_equal(a.program.constants, b.program.constants)
         and a.program.ops == b.program.ops
@@ -159,8 +160,13 @@ def aim_never(material):
     material.cycles.emission_sampling = "NONE"
 
 
+def block_shadows(material):
+    material.use_transparent_shadow = False
+
+
 @pytest.mark.parametrize(
-    "change", [slider, in_group, ramp, ramp_color, curve, choice, unlink, mute, rename, add, drive, aim_never]
+    "change",
+    [slider, in_group, ramp, ramp_color, curve, choice, unlink, mute, rename, add, drive, aim_never, block_shadows],
 )
 def test_a_changed_material_is_compiled_again_and_no_other(compiled, change):
     material, other = add_material("A"), add_material("B")

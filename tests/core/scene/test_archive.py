@@ -53,7 +53,7 @@ def full_scene() -> d.Scene:
     )
     materials = (
         d.Material("glass", (d.Closure(d.ClosureKind.GLASS, (0.1, 0.2, 1 / 3), 0.4, 1.45),), (d.ClosureKind.GLASS,)),
-        d.Material("nothing"),
+        d.Material("nothing", shadow_opaque=True),
     )
     one = np.zeros(1, np.int32)
     return d.Scene(

@@ -180,7 +180,7 @@ class MaterialRecord:
     closure_first: int  # it has the closures [closure_first, closure_end), but for those that its program makes
     closure_end: int
     transmits: int  # 1: some closure, also of its program, is one of `TRANSMISSIVE_KINDS`
-    is_clear: int  # 1: a closure may be TRANSPARENT, also of its program: light may pass straight on
+    is_clear: int  # 1: a closure may be TRANSPARENT, also of its program: shadow rays may pass straight on
     bin: int  # the same for materials that run the same code (`material_bins`)
 
 
@@ -308,6 +308,8 @@ def _has_some(material: Material, wanted: Collection[ClosureKind]) -> bool:
 
 
 def _is_clear(material: Material) -> bool:
+    if material.shadow_opaque:
+        return False
     if material.program is not None:  # which makes all of a material's closures
         return any(instruction.op in TRANSPARENT_OPS for instruction in material.program.instructions)
     return any(closure.kind == _K.TRANSPARENT for closure in material.closures)

@@ -94,7 +94,8 @@ class DeviceScene:
             data.geometry, built, treelets = kept.geometry, kept.built, kept.treelets
             data.materials = upload_materials(scene.materials, ClosureFeatures(features.closures), device)
             programs = [material.program for material in scene.materials]
-            passing = transparent_parts(programs) if features.transparency else []
+            if features.transparency:
+                passing = transparent_parts([None if each.shadow_opaque else each.program for each in scene.materials])
             if features.requests:
                 programs += [program.requests if program else None for program in programs]
             programs += passing  # last, behind those of requests, if any
@@ -157,6 +158,7 @@ class DeviceScene:
         lets_through = any(
             closure.kind == ClosureKind.TRANSPARENT and any(closure.weight)
             for material in scene.materials
+            if not material.shadow_opaque
             for closure in material.closures
         ) or any(passing)
         return DeviceScene(

@@ -1,9 +1,13 @@
-"""Limits of bounces by kind, and switches of caustics: a ball of glass and one of metal in a bright corner."""
+"""What paths may do: limits of bounces by kind and switches of caustics, with a ball of glass and one of metal in a
+bright corner, and materials whose transparency shadow rays do not see.
+"""
 
 import bpy
 
 from tests.blender.features.build import add_world, ball, diffuse, floor, lamp, look, quad, shaded
+from tests.blender.features.families.surfaces import veils
 from tests.blender.features.registry import feature
+from tests.support.blender_builders import add_grid
 
 
 def corner(scene: bpy.types.Scene) -> None:
@@ -58,3 +62,24 @@ def filter_glossy(scene: bpy.types.Scene) -> None:
         node = next(n for n in bpy.data.materials[f"{name} material"].node_tree.nodes if "Roughness" in n.inputs)
         node.inputs["Roughness"].default_value = 0.05
     scene.cycles.blur_glossy = scene.raybatch.filter_glossy = 4.0
+
+
+@feature("Transparent Shadows off", "Surface", "picture", quick=True)
+def opaque_shadow(scene: bpy.types.Scene) -> None:
+    """The upper veil blocks the light that is aimed at, the lower one lets it pass; the camera sees through both."""
+    veils(scene, sun_angle=0.0)
+    bpy.data.objects["Veil 1"].active_material.use_transparent_shadow = False
+    veil = add_grid("Even veil", 1)
+    veil.location = (-1.2, 0.6, 0.5)
+    shaded(veil, "ShaderNodeBsdfTransparent", Color=(0.9, 0.7, 0.5, 1)).active_material.use_transparent_shadow = False
+
+
+@feature("Transparent Shadows off under an area lamp", "Surface", "picture")
+def opaque_shadow_of_lamp(scene: bpy.types.Scene) -> None:
+    """Rays that were not aimed at the lamp meet it through the veil all the same, with the share that is theirs."""
+    floor()
+    veil = add_grid("Veil", 1)
+    veil.location, veil.scale = (0, 0, 0.6), (1.2, 1.2, 1)
+    shaded(veil, "ShaderNodeBsdfTransparent", Color=(0.9, 0.7, 0.5, 1)).active_material.use_transparent_shadow = False
+    lamp("AREA", (0, 0, 2), energy=60.0, size=2.0)
+    look(scene, (0, -5, 3.5), (0, 0, 0.4), lens=45)

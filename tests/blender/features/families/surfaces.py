@@ -171,9 +171,9 @@ def alpha_shadow(scene: bpy.types.Scene) -> None:
     look(scene, (0, -5, 3.5), (0, 0, 0.4), lens=45)
 
 
-@feature("Coloured transparent shadows", "Surface", "picture")
-def colored_shadow(scene: bpy.types.Scene) -> None:
-    _sun(scene)
+def veils(scene: bpy.types.Scene, sun_angle: float = 0.3) -> None:
+    """Two squares of a colour that varies, one above the other, which light passes."""
+    _sun(scene, angle=sun_angle)
     floor()
 
     def surface(graph: Graph):
@@ -187,6 +187,11 @@ def colored_shadow(scene: bpy.types.Scene) -> None:
         obj.location, obj.scale = (0.4 * i, 0, 0.8 + 0.6 * i), (1.1, 1.1, 1)
         material_graph(obj, surface)
     look(scene, (0, -5, 3.5), (0, 0, 0.4), lens=45)
+
+
+@feature("Coloured transparent shadows", "Surface", "picture")
+def colored_shadow(scene: bpy.types.Scene) -> None:
+    veils(scene)
 
 
 @feature("Textured emitter", "Surface", "picture", quick=True)

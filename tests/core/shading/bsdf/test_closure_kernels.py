@@ -137,6 +137,8 @@ def test_materials_say_whether_light_may_pass_straight_on():
     materials += [made("emission", "transparent"), made("emission"), *map(with_op, ("sheet", "facet_hair", "diffuse"))]
     table = upload_materials(materials, EVERYTHING, DEVICE)
     assert table.records.numpy()["is_clear"].tolist() == [0, 1, 0, 1, 0, 1, 1, 0]
+    table = upload_materials([replace(each, shadow_opaque=True) for each in materials], EVERYTHING, DEVICE)
+    assert not table.records.numpy()["is_clear"].any()
 
 
 @pytest.mark.skipif(not wp.is_cuda_available(), reason="no CUDA device")
