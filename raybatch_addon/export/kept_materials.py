@@ -67,6 +67,11 @@ def emission_sampling(material: bpy.types.Material) -> str:
     return getattr(getattr(material.original, "cycles", None), "emission_sampling", "AUTO")
 
 
+def corrects_bump(material: bpy.types.Material) -> bool:
+    """Whether Cycles would turn normals of `material` that face away, and soften the edge of its shadow."""
+    return getattr(getattr(material.original, "cycles", None), "use_bump_map_correction", True)
+
+
 class KeptMaterials(KeptGraphs):
     """Materials of one export that may be those of an earlier one."""
 
@@ -80,7 +85,8 @@ class KeptMaterials(KeptGraphs):
         if material is None or not has_nodes(material):
             return None
         own = material.pass_index, material.displacement_method, tuple(material.diffuse_color)
-        return self.graph_signature(material, *own, emission_sampling(material), material.use_transparent_shadow)
+        flags = emission_sampling(material), corrects_bump(material), material.use_transparent_shadow
+        return self.graph_signature(material, *own, *flags)
 
     def find_untouched(self, material: bpy.types.Material | None) -> tuple[Material, list[str]] | None:
         """Find a material as `find` does, one that no edit touched, without its signature."""

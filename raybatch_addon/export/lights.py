@@ -22,9 +22,7 @@ from .camera import MatrixKey
 from .kept_graphs import KeptGraphs
 from .nodes.collections import Collections
 from .nodes.compile import compile_graph
-from .world import has_nodes, usable_emission
-
-_MAX_BOUNCES = 1024  # Cycles' default, which means no limit
+from .world import MAX_BOUNCES, has_nodes, usable_emission
 
 # Light to world and scales, as `_placement` has them
 _Place: TypeAlias = tuple[np.ndarray, np.ndarray]
@@ -213,6 +211,6 @@ def _placed(kind: str, key: MatrixKey) -> tuple[_Place | None, str, bool]:
 
 
 def _warn_of_limits(obj: bpy.types.Object, name: str, warnings: list[str]) -> None:
-    if getattr(getattr(obj.data, "cycles", None), "max_bounces", _MAX_BOUNCES) < _MAX_BOUNCES:
+    if getattr(getattr(obj.data, "cycles", None), "max_bounces", MAX_BOUNCES) < MAX_BOUNCES:
         text = f"{name}: its limit of bounces is not supported; it shines at every bounce"
         warnings.append(Notice(text, objects=[obj.name]))

@@ -12,7 +12,7 @@ from ..core.programs.builder import Value
 from ..core.programs.op import VOLUME_PREFIX
 from ..core.scene.description import Closure, ClosureKind, Material
 from ..core.scene.notice import Notice, Weight, as_notice
-from .kept_materials import KeptMaterials, UntouchedMaterials, emission_sampling, is_aimed_at
+from .kept_materials import KeptMaterials, UntouchedMaterials, corrects_bump, emission_sampling, is_aimed_at
 from .nodes.collections import Collections
 from .nodes.compile import compile_displacement, compile_graph, compile_volume, default_volume
 from .nodes.graph import find_source
@@ -25,6 +25,7 @@ BOUNDARY = (Closure(ClosureKind.TRANSPARENT, (1.0, 1.0, 1.0)),), (ClosureKind.TR
 _DEFAULT_GREY = (0.8, 0.8, 0.8)  # Blender's surface without a material
 _HOLDOUT = "holdout"  # what the camera sees of holdout objects
 _AIMED_AT_BOTH = "Emission Sampling of one side: rays are aimed at both sides of what emits; noise differs"
+_BUMP_CORRECTED = "Bump Map Correction off is not supported: normals of bump and normal maps are corrected all the same"
 # Most objects that a message about their material names
 _NAMED_USERS = 3
 
@@ -163,6 +164,8 @@ def export_material(
     compiled = compile_graph(output.inputs["Surface"], material, collections, bends)
     if emission_sampling(material) in ("FRONT", "BACK") and ClosureKind.EMISSION in compiled.kinds:
         notes.append(Notice(_AIMED_AT_BOTH, Weight.SETTING, remedy="set Emission Sampling to Front and Back, or None"))
+    if ClosureKind.OWN_NORMAL in compiled.kinds and not corrects_bump(material):
+        notes.append(Notice(_BUMP_CORRECTED, remedy="turn on Bump Map Correction in the material's settings of Cycles"))
     displacement = None
     if moves:
         moved = compile_displacement(output.inputs["Displacement"], material, collections)

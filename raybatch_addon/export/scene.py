@@ -13,6 +13,7 @@ from ..core.scene.description import Camera, Frame, Scene
 from ..core.scene.notice import Notice, Weight, by_weight
 from ..core.scene.passes import CATCHER_PASS, CATCHER_SHADOWS
 from ..core.shading.volumes.overlaps import crowded_volumes
+from ..core.shading.volumes.portals import portals_in_volumes
 from .camera import export_camera
 from .drivers import failed_drivers
 from .meshes.instances import Cancelled, collect_placements
@@ -21,6 +22,7 @@ from .motion.shutter import Exposure, export_shutter, neighbours, open_time
 from .motion.steps import CameraPlace, MotionSteps, camera_steps, with_frames
 from .nodes.collections import occlusion_distance
 from .passed_over.look import passed_over
+from .passed_over.mirrors import lamps_hidden_from_mirrors
 from .passes import LIGHT_PASS_PROPERTIES, MATTE_PROPERTIES, PASS_PROPERTIES, wanted_passes
 from .view import View
 from .world import export_world, with_portals
@@ -99,7 +101,7 @@ def _exported(
             moved = replace(moved[0], shutter=export_shutter(scene)), *moved[1:]
         exported = replace(exported, camera=moved[0], instances=moved[1], meshes=tuple(moved[2]))
         warnings += steps.warnings
-    warnings += crowded_volumes(exported)
+    warnings += crowded_volumes(exported) + portals_in_volumes(exported) + lamps_hidden_from_mirrors(exported)
     return replace(exported, warnings=tuple(by_weight(dict.fromkeys(warnings))))
 
 

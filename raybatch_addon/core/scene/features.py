@@ -272,7 +272,7 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
             light.kind in (LightKind.POINT, LightKind.SPOT) and not light.soft_falloff and light.radius > 0
             for light in scene.lights
         ),
-        light_hits=any(_can_be_met(light) for light in scene.lights),
+        light_hits=any(can_be_met(light) for light in scene.lights),
         light_choice=is_sampled
         and (
             ClosureKind.EMISSION in kinds or len(scene.lights) + world_light > 1 or links_lights(scene) or volume_lights
@@ -362,7 +362,8 @@ def needs_instancing(scene: Scene) -> bool:
     return shared or bool(apart(scene).any()) or bool(np.any(seen != int(Visibility.ALL)))
 
 
-def _can_be_met(light) -> bool:
+def can_be_met(light) -> bool:
+    """Whether rays other than those that are aimed at `light` may meet it."""
     rays = int(Visibility.ALL & ~Visibility.SHADOW)
     if not light.visibility & rays:
         return False

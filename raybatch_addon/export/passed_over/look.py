@@ -11,7 +11,7 @@ from ...core.scene.description import ClosureKind, Scene
 from ...core.scene.features import emits_somewhere, scene_volumes
 from ...core.scene.notice import Notice, Weight, about
 from ..taken_over.take import passed_over_settings
-from .object_rows import OBJECT_ROWS
+from .object_rows import MOVING_ROWS, OBJECT_ROWS
 from .row import notices, object_notices
 from .scene_rows import SCENE_ROWS
 
@@ -22,7 +22,13 @@ def passed_over(depsgraph: bpy.types.Depsgraph, objects: Iterable[bpy.types.Obje
     found = [
         about(each, f"scene “{scene.name}”, view layer “{layer.name}”") for each in notices(SCENE_ROWS, scene, layer)
     ]
-    return found + list(object_notices(OBJECT_ROWS, objects)) + passed_over_settings(scene)
+    objects = list(objects)
+    found += object_notices(OBJECT_ROWS, objects)
+    if scene.render.use_motion_blur and layer.use_motion_blur:
+        found += object_notices(
+            MOVING_ROWS, [each.evaluated_get(depsgraph) for each in objects if each.type == "VOLUME"]
+        )
+    return found + passed_over_settings(scene)
 
 
 def with_light_looked_for(scene: Scene) -> Scene:

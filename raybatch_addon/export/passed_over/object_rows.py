@@ -7,7 +7,11 @@ from typing import Any
 import bpy
 
 from ...core.scene.notice import Weight
+from ..meshes.smoke import smoke_domain
 from .row import Row
+
+# Types of objects whose surface light falls on
+_SURFACES = ("MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD")
 
 
 def _cycles(obj: bpy.types.Object, name: str) -> Any:
@@ -19,7 +23,51 @@ def _casts_caustics(obj: bpy.types.Object) -> bool:
     return bool(getattr(getattr(lamp, "cycles", None), "is_caustics_light", False))
 
 
+def _shifts_terminator(obj: bpy.types.Object) -> bool:
+    return obj.type in _SURFACES and getattr(obj, "shadow_terminator_shading_offset", 0.0) > 0
+
+
+def _offsets_shadow_rays(obj: bpy.types.Object) -> bool:
+    """Whether shadow rays of a mesh would begin elsewhere than by Cycles' own choice, which has hardly an effect."""
+    prop = obj.bl_rna.properties.get("shadow_terminator_geometry_offset")
+    if prop is None or obj.type != "MESH" or obj.shadow_terminator_geometry_offset in (0.0, prop.default):
+        return False
+    return any(polygon.use_smooth for polygon in obj.data.polygons)
+
+
+def _reads_grids_smoothly(obj: bpy.types.Object) -> bool:
+    if obj.type != "VOLUME" and (obj.type != "MESH" or smoke_domain(obj) is None):
+        return False
+    materials = [slot.material for slot in obj.material_slots if slot.material is not None]
+    return any(getattr(getattr(each, "cycles", None), "volume_interpolation", "") == "CUBIC" for each in materials)
+
+
+def _has_velocity(obj: bpy.types.Object) -> bool:
+    """Whether a volume object, evaluated, moves by grids of its own: Blender finds them by their names."""
+    volume = obj.data
+    return bool(volume.velocity_grid) and volume.velocity_scale != 0
+
+
 OBJECT_ROWS = (
+    Row(
+        "Shading Offset of the shadow terminator is not supported; these are shaded as at 0: {found}",
+        _shifts_terminator,
+        Weight.REPLACED,
+        "set Shading Offset to 0 in the object's Shading settings, and give the mesh more faces",
+    ),
+    Row(
+        "Geometry Offset of the shadow terminator is not supported; shadow rays of these begin at their faces, as at "
+        "0: {found}",
+        _offsets_shadow_rays,
+        Weight.SETTING,
+        "set Geometry Offset to 0 in the object's Shading settings",
+    ),
+    Row(
+        "Cubic interpolation of volumes is not supported; grids of these are read linearly: {found}",
+        _reads_grids_smoothly,
+        Weight.REPLACED,
+        "set Interpolation to Linear in the volume settings of the material",
+    ),
     Row(
         "shadow caustics of Cycles are not supported: the light of these comes through glass by whole paths alone: "
         "{found}",
@@ -38,5 +86,15 @@ OBJECT_ROWS = (
         lambda obj: _cycles(obj, "use_camera_cull") or _cycles(obj, "use_distance_cull"),
         Weight.SETTING,
         "turn off Camera Cull and Distance Cull of the object",
+    ),
+)
+# Of volume objects, evaluated, where motion blur is on
+MOVING_ROWS = (
+    Row(
+        "motion blur of volumes by their velocity grids is not supported; these are rendered as they are in the middle "
+        "of the exposure: {found}",
+        _has_velocity,
+        Weight.REPLACED,
+        "set Velocity Scale of the volume to 0",
     ),
 )

@@ -39,6 +39,12 @@ def _cycles_passes(_scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> str:
     )
 
 
+def _vectors_of_panoramas(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bool:
+    blurs = scene.render.use_motion_blur and layer.use_motion_blur  # then the pass is empty in Cycles too
+    camera = scene.camera.data if scene.camera is not None else None
+    return layer.use_pass_vector and not blurs and getattr(camera, "type", "") == "PANO"
+
+
 def _denoising_data(_scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bool:
     """Whether Cycles would write what its denoiser knows of surfaces since Blender 5.2."""
     own = _cycles_of(layer)
@@ -58,6 +64,13 @@ def _biased(scene: bpy.types.Scene, _layer: bpy.types.ViewLayer) -> str:
     if not getattr(own, "volume_biased", False):  # Cycles before 5.0 has no other way, and no such property
         return ""
     return unlike_new(own, "volume_biased", "volume_step_rate", "volume_max_steps")
+
+
+def _subset(scene: bpy.types.Scene, _layer: bpy.types.ViewLayer) -> str:
+    own = _cycles(scene)
+    if not getattr(own, "use_sample_subset", False):
+        return ""
+    return unlike_new(own, "use_sample_subset", "sample_offset", "sample_subset_length")
 
 
 def _simplified(scene: bpy.types.Scene, _layer: bpy.types.ViewLayer) -> str:
@@ -85,6 +98,12 @@ SCENE_ROWS = (
         _cycles_passes,
         Weight.MISSING,
         "turn them off in the view layer's passes",
+    ),
+    Row(
+        "the pass Vector is 0 in panoramas",
+        _vectors_of_panoramas,
+        Weight.MISSING,
+        "turn it off in the view layer's passes",
     ),
     Row(
         "the passes Denoising Specular Albedo and Denoising Roughness of Cycles are not supported yet and are left out",
@@ -126,8 +145,21 @@ SCENE_ROWS = (
         "set Samples in RayBatch's sampling settings",
     ),
     Row(
+        "Cycles would render a part of the samples; here all of them are rendered, and these are not heard: {found}",
+        _subset,
+        Weight.SETTING,
+        "turn off Sample Subset in Cycles' sampling settings, and set Samples in RayBatch's",
+    ),
+    Row(
         "these settings of Cycles are not heard: {found}",
-        lambda scene, _layer: unlike_new(_cycles(scene), "use_guiding", "shading_system"),
+        lambda scene, _layer: unlike_new(
+            _cycles(scene),
+            "use_guiding",
+            "shading_system",
+            "use_animated_seed",
+            "min_light_bounces",
+            "min_transparent_bounces",
+        ),
         Weight.SETTING,
     ),
 )

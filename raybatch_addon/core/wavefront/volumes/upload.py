@@ -21,6 +21,7 @@ from ...shading.images.textures import ImageTable
 from ...shading.lights.emitters import EmissiveCells
 from ...shading.volumes.enclosures import upload_enclosures
 from ...shading.volumes.overlaps import crowded_volumes, volume_numbers
+from ...shading.volumes.portals import portals_in_volumes
 from ..scene.unchanged import Last, bounds_key
 from .bounds import RAYS, FoundBounds, bounded_volumes, find_bounds, goes_on_beyond
 from .emission.cells import FoundCells, find_cells, has_owners
@@ -120,9 +121,8 @@ def upload_volumes(
     ops, asked = features.volume_program.ops, narrow(shading, VolumeFeatures)
     key = bounds_key(scene, volume_of, ops, device.alias) if data.varies or features.volume_lights else ([], ())
     warnings = _bound(data, scene, asked, volume_of, device, ops=ops, key=key, kept=cache.bounds)
-    warnings += [each for each in crowded_volumes(scene) if each not in scene.warnings]
-    if ClosureKind.RAY_PORTAL in features.closures:
-        warnings.append("Ray Portal: a ray that comes out of one is in the volumes of the place where it went in")
+    found = crowded_volumes(scene) + portals_in_volumes(scene)
+    warnings += [each for each in found if each not in scene.warnings]
     cells = None
     if features.volume_lights:
         cells = _emission(data, scene, asked, volume_of, device, key=key, kept=cache.cells)

@@ -1,0 +1,242 @@
+"""Settings that change the picture in Cycles, and not here, are named with what they are set at."""
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+from raybatch_addon.core.scene.notice import Weight, by_weight
+from raybatch_addon.export.scene import export_scene
+from tests.support.blender_builders import add_grid, material_of, node_tree
+
+REPLACED, SETTING, MISSING = Weight.REPLACED, Weight.SETTING, Weight.MISSING
+
+
+def found(words: str) -> list:
+    """Notices of an export with these words in them."""
+    bpy.context.view_layer.update()
+    every = by_weight(export_scene(bpy.context.evaluated_depsgraph_get()).warnings)
+    return [each for each in every if words in each]
+
+
+def host(smooth: bool = False):
+    """A square with a material of one node, and that material's tree and Surface socket."""
+    obj = add_grid("Host", 1)
+    for polygon in obj.data.polygons:
+        polygon.use_smooth = smooth
+    material = material_of(obj, "Coat")
+    return obj, material, *node_tree(material)
+
+
+def world_of(scene, varies: bool = True, fog: bool = False):
+    """A new world of the scene."""
+    world = scene.world = bpy.data.worlds.new("Sky")
+    tree, _ = node_tree(world)
+    tree.nodes.clear()
+    output = tree.nodes.new("ShaderNodeOutputWorld")
+    background = tree.nodes.new("ShaderNodeBackground")
+    tree.links.new(background.outputs[0], output.inputs["Surface"])
+    if varies:
+        tree.links.new(tree.nodes.new("ShaderNodeTexGradient").outputs["Color"], background.inputs["Color"])
+    if fog:
+        tree.links.new(tree.nodes.new("ShaderNodeVolumeScatter").outputs[0], output.inputs["Volume"])
+    return world
+
+
+def shading_offset(_scene):
+    host()[0].shadow_terminator_shading_offset = 0.25
+
+
+def geometry_offset(_scene):
+    host(smooth=True)[0].shadow_terminator_geometry_offset = 0.5
+
+
+def geometry_offset_of_what_is_flat(_scene):
+    host()[0].shadow_terminator_geometry_offset = 0.5
+
+
+def no_geometry_offset(_scene):
+    host(smooth=True)[0].shadow_terminator_geometry_offset = 0.0
+
+
+def bump(_scene, kind="ShaderNodeBump", links=True):
+    _, material, tree, surface = host()
+    shader = tree.nodes.new("ShaderNodeBsdfDiffuse")
+    tree.links.new(shader.outputs[0], surface)
+    if links:
+        node = tree.nodes.new(kind)
+        if kind == "ShaderNodeBump":
+            tree.links.new(tree.nodes.new("ShaderNodeTexNoise").outputs[0], node.inputs["Height"])
+        tree.links.new(node.outputs[0], shader.inputs["Normal"])
+    material.cycles.use_bump_map_correction = False
+
+
+def normal_map(scene):
+    bump(scene, "ShaderNodeNormalMap")
+
+
+def no_bump(scene):
+    bump(scene, links=False)
+
+
+def animated_seed(scene):
+    scene.cycles.use_animated_seed = True
+
+
+def bounces_before_roulette(scene):
+    scene.cycles.min_light_bounces, scene.cycles.min_transparent_bounces = 3, 2
+
+
+def sample_subset(scene):
+    scene.cycles.use_sample_subset, scene.cycles.sample_offset = True, 5
+
+
+def offset_without_subset(scene):
+    scene.cycles.sample_offset = 5
+
+
+def lamp_bounces(scene):
+    obj = bpy.data.objects.new("Host", bpy.data.lights.new("Lamp", "POINT"))
+    scene.collection.objects.link(obj)
+    obj.data.cycles.max_bounces = 2
+
+
+def world_bounces(scene):
+    world_of(scene).cycles.max_bounces = 0
+
+
+def world_shadows(scene):
+    world_of(scene).cycles.use_shadows = False
+
+
+def even_world(scene):
+    own = world_of(scene, varies=False).cycles
+    own.max_bounces, own.use_shadows = 0, False
+
+
+def panorama(scene):
+    scene.camera.data.type = "PANO"
+    scene.view_layers[0].use_pass_vector = True
+
+
+def panorama_with_motion_blur(scene):
+    panorama(scene)
+    scene.render.use_motion_blur = True
+
+
+def portal(scene, filled=True):
+    _, _, tree, surface = host()
+    tree.links.new(tree.nodes.new("ShaderNodeBsdfRayPortal").outputs[0], surface)
+    if filled:
+        tree, surface = node_tree(material_of(add_grid("Fog", 1), "Fog"))
+        tree.links.new(tree.nodes.new("ShaderNodeVolumeScatter").outputs[0], surface.node.inputs["Volume"])
+
+
+def portal_in_a_foggy_world(scene):
+    portal(scene, filled=False)
+    world_of(scene, fog=True)
+    assert export_scene(bpy.context.evaluated_depsgraph_get()).world.volume is not None
+
+
+@pytest.mark.parametrize(
+    ("change", "words", "weight", "objects", "material"),
+    [
+        (shading_offset, "Shading Offset", REPLACED, ("Host",), ""),
+        (geometry_offset, "Geometry Offset", SETTING, ("Host",), ""),
+        (bump, "Bump Map Correction", REPLACED, ("Host",), "Coat"),
+        (normal_map, "Bump Map Correction", REPLACED, ("Host",), "Coat"),
+        (animated_seed, "Animated Seed on", SETTING, (), ""),
+        (bounces_before_roulette, "Min Light Bounces 3, Min Transparent Bounces 2", SETTING, (), ""),
+        (sample_subset, "Sample Subset on, Sample Subset Offset 5", SETTING, (), ""),
+        (lamp_bounces, "limit of bounces", REPLACED, ("Host",), ""),
+        (world_bounces, "world “Sky”: its limit of bounces", REPLACED, (), ""),
+        (world_shadows, "world “Sky”: Cast Shadow", REPLACED, (), ""),
+        (panorama, "Vector", MISSING, (), ""),
+        (portal, "Ray Portal", REPLACED, (), "Coat"),
+    ],
+)
+def test_what_is_not_heard_is_named(scene, change, words, weight, objects, material):
+    change(scene)
+    (notice,) = found(words)
+    assert (notice.weight, notice.objects, notice.material) == (weight, objects, material)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (geometry_offset_of_what_is_flat, "Geometry Offset"),
+        (no_geometry_offset, "Geometry Offset"),
+        (no_bump, "Bump Map Correction"),
+        (offset_without_subset, "Sample"),
+        (even_world, "Sky"),
+        (panorama_with_motion_blur, "Vector"),
+        (portal_in_a_foggy_world, "Ray Portal"),
+    ],
+)
+def test_what_changes_nothing_in_cycles_is_not_named(scene, change, words):
+    change(scene)
+    assert found(words) == []
+
+
+@pytest.fixture
+def smoke(scene, tmp_path):
+    """A volume object of a file with a velocity grid, which a material shows."""
+    bpy.utils.expose_bundled_modules()
+    openvdb = pytest.importorskip("openvdb")
+    grids = [openvdb.FloatGrid(), openvdb.Vec3SGrid()]
+    for grid, name, width in zip(grids, ("density", "velocity"), ((), (3,)), strict=True):
+        grid.name = name
+        grid.copyFromArray(np.ones((4, 4, 4, *width), np.float32))
+    openvdb.write(str(tmp_path / "smoke.vdb"), grids=grids)
+    volume = bpy.data.volumes.new("Smoke")
+    volume.filepath = str(tmp_path / "smoke.vdb")
+    obj = bpy.data.objects.new("Smoke", volume)
+    scene.collection.objects.link(obj)
+    material = bpy.data.materials.new("Smoke")
+    volume.materials.append(material)
+    tree, surface = node_tree(material)
+    tree.links.new(tree.nodes.new("ShaderNodeVolumePrincipled").outputs[0], surface.node.inputs["Volume"])
+    return obj
+
+
+def test_cubic_interpolation_of_grids_is_named(smoke):
+    assert found("Cubic") == []
+    smoke.data.materials[0].cycles.volume_interpolation = "CUBIC"
+    add_grid("Other", 1).data.materials.append(smoke.data.materials[0])  # has no grids
+    (notice,) = found("Cubic")
+    assert notice.weight == REPLACED and notice.objects == ("Smoke",)
+
+
+def test_velocity_grids_are_named_where_they_would_blur(scene, smoke):
+    assert found("velocity grids") == []
+    scene.render.use_motion_blur = True
+    (notice,) = found("velocity grids")
+    assert notice.weight == REPLACED and notice.objects == ("Smoke",)
+    smoke.data.velocity_scale = 0
+    smoke.data.update_tag()
+    assert found("velocity grids") == []
+    smoke.data.velocity_scale, scene.view_layers[0].use_motion_blur = 1, False
+    smoke.data.update_tag()
+    assert found("velocity grids") == []
+
+
+@pytest.mark.parametrize("emitter", ["lamp", "mesh"])
+@pytest.mark.parametrize(
+    ("state", "roughness", "named"), [("EXCLUDE", 0.0, True), ("EXCLUDE", 0.1, False), ("INCLUDE", 0.0, False)]
+)
+def test_lamps_that_mirrors_show_in_cycles_alone_are_named(scene, emitter, state, roughness, named):
+    _, _, tree, surface = host()
+    mirror = tree.nodes.new("ShaderNodeBsdfAnisotropic")
+    mirror.inputs["Roughness"].default_value = roughness
+    tree.links.new(mirror.outputs[0], surface)
+    if emitter == "lamp":
+        obj = bpy.data.objects.new("Lamp", bpy.data.lights.new("Lamp", "AREA"))
+        scene.collection.objects.link(obj)
+    else:
+        obj = add_grid("Lamp", 1)
+        tree, surface = node_tree(material_of(obj, "Glow"))
+        tree.links.new(tree.nodes.new("ShaderNodeEmission").outputs[0], surface)
+    collection = obj.light_linking.blocker_collection = bpy.data.collections.new("Blockers")
+    collection.objects.link(add_grid("Glass", 1))
+    collection.collection_objects[0].light_linking.link_state = state
+    assert [each.objects for each in found("Shadow Linking")] == ([("Lamp",)] if named else [])
