@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Collection
 from operator import attrgetter
 from typing import Any
 
@@ -49,9 +50,10 @@ def exposure_of(scene: bpy.types.Scene, engine: str = "") -> float:
     return 1.0 if own is None else exact(own.exposure)
 
 
-def engine_settings(scene: bpy.types.Scene, engine: str) -> dict[str, Any]:
-    """Our settings as `engine` has them, by name; none for no engine."""
-    found = {row.setting: row.value(scene) for row in ROWS.get(engine, ())}
+def engine_settings(scene: bpy.types.Scene, engine: str, names: Collection[str] | None = None) -> dict[str, Any]:
+    """Our settings, or those of `names`, as `engine` has them, by name; none for no engine."""
+    rows = [row for row in ROWS.get(engine, ()) if names is None or row.setting in names]
+    found = {row.setting: row.value(scene) for row in rows}
     return {name: within(SETTINGS[name], value) for name, value in found.items() if value is not None}
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import bpy
 
 from ...core.scene.notice import Weight
+from ..settings import settings_from
 from .row import Row, unlike_new
 
 
@@ -23,10 +24,18 @@ def _denoises(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bool:
 
     It is on in new scenes of every engine: that alone is no choice.
     """
-    own, ours = _cycles(scene), getattr(scene, "raybatch", None)
-    if ours is not None and ours.denoise == "ON":
+    own = _cycles(scene)
+    if settings_from(scene).denoise == "ON":
         return False
-    return own is not None and own.use_denoising and own.is_property_set("use_denoising")
+    chosen = own is not None and own.use_denoising and own.is_property_set("use_denoising")
+    return chosen and _cycles_of(layer).use_denoising
+
+
+def _denoises_all(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bool:
+    """Whether the layer is denoised here, and would not be in Cycles, which denoises others."""
+    own = _cycles(scene)
+    is_off = own is not None and own.use_denoising and not _cycles_of(layer).use_denoising
+    return is_off and settings_from(scene).denoise == "ON"
 
 
 def _cycles_passes(_scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> str:
@@ -116,6 +125,12 @@ SCENE_ROWS = (
         _denoises,
         Weight.SETTING,
         "turn on Denoise in RayBatch's panel Denoise, or turn it off in Cycles' sampling settings",
+    ),
+    Row(
+        "Denoising is off for the view layer in Cycles, and not heard: Denoise of RayBatch is for all of them",
+        _denoises_all,
+        Weight.SETTING,
+        "turn off Denoise in RayBatch's panel Denoise, or turn on Denoising of the view layer",
     ),
     Row(
         "Transparent Glass: behind glass shadow catchers and holdout objects are neither, and shown as they are",

@@ -10,6 +10,8 @@ from typing import Any
 import bpy
 import numpy as np
 
+from ...blender.denoise_library import why_not
+
 CYCLES, EEVEE = "CYCLES", "EEVEE"
 
 
@@ -66,6 +68,18 @@ def _threshold(value: float, cycles: Any) -> float:
     return value or max(0.001, 1 / max(1, cycles.samples))
 
 
+def _denoise(value: bool, cycles: Any) -> str | None:
+    """Whether some view layer is denoised; None where that cannot be had here."""
+    scene = cycles.id_data
+    if not (value and any(layer.use and layer.cycles.use_denoising for layer in scene.view_layers)):
+        return "OFF"
+    ours = getattr(scene, "raybatch", None)
+    return None if ours is None or why_not(ours.denoise_library) else "ON"
+
+
+# Passes that guide the denoiser, by Cycles' name for the picture and them
+_GUIDED_BY = {"RGB": "NONE", "RGB_ALBEDO": "ALBEDO", "RGB_ALBEDO_NORMAL": "ALBEDO_NORMAL"}
+
 _OF_CYCLES = (
     Taken("sample_count", "cycles", "samples"),
     Taken("adaptive_sampling", "cycles", "use_adaptive_sampling", _switch),
@@ -86,6 +100,10 @@ _OF_CYCLES = (
     Taken("clamp_indirect", "cycles", "sample_clamp_indirect"),
     Taken("pixel_filter", "cycles", "pixel_filter_type"),
     Taken("filter_width", "cycles", "filter_width"),
+    Taken("denoise", "cycles", "use_denoising", _denoise),
+    Taken("denoise_inputs", "cycles", "denoising_input_passes", lambda value, _owner: _GUIDED_BY.get(value)),
+    Taken("denoise_prefilter", "cycles", "denoising_prefilter"),
+    Taken("denoise_quality", "cycles", "denoising_quality"),
 )
 # EEVEE's film has the filter of Cycles, with a width of its own
 _OF_EEVEE = (

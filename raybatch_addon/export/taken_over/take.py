@@ -20,6 +20,8 @@ MATERIAL_OUTPUT = "material_output"
 _OF_FILE = {EXPOSURE: "Exposure", MATERIAL_OUTPUT: "Material Output"}
 # Limits that count only as far as those of all bounces let them
 _OF_KINDS = ("diffuse_bounce_max", "glossy_bounce_max", "transmission_bounce_max", "volume_bounce_max")
+# Those that count only where pictures are denoised
+_OF_DENOISING = {"denoise_inputs", "denoise_prefilter", "denoise_quality"}
 
 
 @dataclass(frozen=True)
@@ -53,9 +55,13 @@ class Difference:
 
 def differences(scene: bpy.types.Scene, engine: str, chosen: bool = False) -> list[Difference]:
     """Settings of `engine` that are not ours; with `chosen` those alone that someone changed from a new scene's."""
-    theirs, settings = engine_settings(scene, engine), settings_from(scene)
-    ours = {name: getattr(settings, name) for name in theirs}
     wanted = {row.setting for row in ROWS[engine] if row.is_chosen(scene) or not chosen}
+    # others are asked for where they have a say: whether pictures can be denoised takes a library to be loaded
+    ruling = {"bounce_max"} | ({"denoise"} if not wanted.isdisjoint(_OF_DENOISING) else set())
+    theirs, settings = engine_settings(scene, engine, wanted | ruling), settings_from(scene)
+    ours = {name: getattr(settings, name) for name in theirs}
+    if theirs.get("denoise") != "ON":
+        wanted -= _OF_DENOISING
     found = [
         Difference(name, value, ours[name])
         for name, value in theirs.items()

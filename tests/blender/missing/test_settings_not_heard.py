@@ -28,6 +28,19 @@ def host(smooth: bool = False):
     return obj, material, *node_tree(material)
 
 
+def denoised_layer(scene):
+    scene.raybatch.denoise, scene.view_layers[0].cycles.use_denoising = "ON", False
+
+
+def denoised(scene):
+    scene.cycles.use_denoising = True
+
+
+def no_denoised_layer(scene):
+    denoised(scene)
+    scene.view_layers[0].cycles.use_denoising = False
+
+
 def world_of(scene, varies: bool = True, fog: bool = False):
     """A new world of the scene."""
     world = scene.world = bpy.data.worlds.new("Sky")
@@ -153,6 +166,8 @@ def portal_in_a_foggy_world(scene):
         (world_shadows, "world “Sky”: Cast Shadow", REPLACED, (), ""),
         (panorama, "Vector", MISSING, (), ""),
         (portal, "Ray Portal", REPLACED, (), "Coat"),
+        (denoised, "Denoise is on in Cycles", SETTING, (), ""),
+        (denoised_layer, "Denoising is off for the view layer", SETTING, (), ""),
     ],
 )
 def test_what_is_not_heard_is_named(scene, change, words, weight, objects, material):
@@ -171,6 +186,7 @@ def test_what_is_not_heard_is_named(scene, change, words, weight, objects, mater
         (even_world, "Sky"),
         (panorama_with_motion_blur, "Vector"),
         (portal_in_a_foggy_world, "Ray Portal"),
+        (no_denoised_layer, "Denois"),
     ],
 )
 def test_what_changes_nothing_in_cycles_is_not_named(scene, change, words):

@@ -37,7 +37,7 @@ def test_exposure_brightens_what_blender_shows(scene, tmp_path):
     scene.world = bpy.data.worlds.new("Sky")
     scene.world.use_nodes = True  # before Blender 5 a choice
     scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.25, 0.5, 1.0, 1.0)
-    scene.cycles.film_exposure = 2.5
+    scene.cycles.film_exposure, scene.cycles.use_denoising = 2.5, False
     assert [each.setting for each in differences(scene, CYCLES, chosen=True)] == ["exposure"]
     take_over(scene, CYCLES)
     scene.raybatch.sample_count = 1
@@ -123,3 +123,39 @@ def test_numbers_that_set_no_limit_are_reported_as_no_limit():
     assert text == "Max Bounces, Glossy: 4 in Cycles, no limit here"
     assert Difference("time_limit", 0.0, 5.0).text("CYCLES") == "Time Limit: no limit in Cycles, 5 here"
     assert Difference("exposure", 2.0, 1.0).text("CYCLES") == "Exposure: 2 in Cycles, 1 here"
+
+
+def test_denoising_is_taken_over_with_what_guides_it(scene):
+    own, ours = scene.cycles, scene.raybatch
+    own.denoising_input_passes, own.denoising_prefilter, own.denoising_quality = "RGB_ALBEDO", "FAST", "BALANCED"
+    texts = [each.text(CYCLES) for each in differences(scene, CYCLES) if each.setting.startswith("denoise")]
+    assert texts == [
+        "Denoise: ON in Cycles, OFF here",
+        "Passes: ALBEDO in Cycles, ALBEDO_NORMAL here",
+        "Prefilter: FAST in Cycles, ACCURATE here",
+        "Quality: BALANCED in Cycles, HIGH here",
+    ]
+    take_over(scene, CYCLES)
+    assert (ours.denoise, ours.denoise_inputs, ours.denoise_prefilter) == ("ON", "ALBEDO", "FAST")
+    own.use_denoising = False
+    own.denoising_input_passes = "RGB"
+    assert [each.setting for each in differences(scene, CYCLES)] == ["denoise"], "the passes guide nothing"
+    take_over(scene, CYCLES)
+    assert ours.denoise == "OFF"
+
+
+def test_denoising_is_not_taken_over_where_its_library_is_missing(scene, tmp_path):
+    scene.raybatch.denoise_library = str(tmp_path / "nowhere.so")
+    assert "denoise" not in {each.setting for each in differences(scene, CYCLES)}
+    take_over(scene, CYCLES)
+    assert settings_from(scene).denoise == "OFF"
+
+
+def test_denoising_of_view_layers_counts_as_a_whole(scene):
+    second = scene.view_layers.new("Second")
+    second.cycles.use_denoising = False
+    take_over(scene, CYCLES)
+    assert scene.raybatch.denoise == "ON"
+    scene.view_layers[0].cycles.use_denoising = False
+    take_over(scene, CYCLES)
+    assert scene.raybatch.denoise == "OFF"

@@ -141,9 +141,15 @@ def test_scenes_without_portals_have_no_code_for_them():
     assert with_one.transparency and "RAY_PORTAL" in why_not_general(with_one, SimpleNamespace(is_cuda=True))
 
 
-def test_portals_beside_volumes_are_reported(session):
-    """Rays do not find out which volumes are around the place where they come out."""
+@pytest.mark.parametrize("where", ["world", "object"])
+def test_portals_beside_volumes_of_objects_are_reported(session, where):
+    """Rays do not find out which volumes are around the place where they come out; the world's is everywhere."""
     scene = dome(portal(), Frame(2, 2))
     mist = Volume((Closure(K.VOLUME_ABSORPTION, (1e-3,) * 3),))
-    film = session.render(replace(scene, world=replace(scene.world, volume=mist)), RenderSettings(sample_count=1))
-    assert [text for text in film.statistics["warnings"] if text.startswith("Ray Portal: ")]
+    if where == "world":
+        scene = replace(scene, world=replace(scene.world, volume=mist))
+    else:
+        scene = replace(scene, materials=(*scene.materials, Material("mist", volume=mist)))
+    film = session.render(scene, RenderSettings(sample_count=1))
+    reported = [text for text in film.statistics["warnings"] if text.startswith("Ray Portal: ")]
+    assert len(reported) == (where == "object")
