@@ -188,20 +188,21 @@ def length_density(extinction: wp.vec3, length: float, hit: bool) -> wp.vec3:
 @wp.func
 def phase_density(g: float, cosine: float) -> float:
     """Henyey and Greenstein's phase function [1/sr]."""
-    if wp.abs(g) < 1.0e-3:
-        return 0.25 / wp.PI
-    below = wp.max(1.0 + g * (g - 2.0 * cosine), 1.0e-12)
-    return (1.0 - g * g) / (4.0 * wp.PI * below * wp.sqrt(below))
+    a = wp.abs(g)
+    # terms of one sign: 1 + g^2 - 2 g cosine has no digit left at the peak of a `g` near 1
+    below = (1.0 - a) * (1.0 - a) + 2.0 * a * (1.0 - wp.where(g < 0.0, -cosine, cosine))
+    below = wp.max(below, 1.0e-12)
+    return (1.0 - a) * (1.0 + a) / (4.0 * wp.PI * below * wp.sqrt(below))
 
 
 @wp.func
 def phase_cosine(g: float, u: float) -> float:
     """A cosine of density `phase_density`, up to the factor 2 pi of the azimuth."""
-    cosine = 1.0 - 2.0 * u
-    if wp.abs(g) >= 1.0e-3:
-        k = (1.0 - g * g) / (1.0 - g * cosine)
-        cosine = (1.0 + g * g - k * k) / (2.0 * g)
-    return wp.clamp(cosine, -1.0, 1.0)
+    a = wp.abs(g)
+    share = wp.where(g < 0.0, u, 1.0 - u)  # of what is nearer to the peak
+    middle = (1.0 - a) + 2.0 * a * (1.0 - share)
+    distance = (1.0 - a) * share * ((1.0 - a) * (1.0 + a) / middle + (1.0 - a)) / middle  # from it, 1 - |cosine| there
+    return wp.clamp(wp.where(g < 0.0, distance - 1.0, 1.0 - distance), -1.0, 1.0)
 
 
 @wp.func
