@@ -19,13 +19,22 @@ def enabled_panels():
 
 
 class Layout:
-    """A layout that notes what is drawn, and only takes properties that exist."""
+    """A layout that notes what is drawn, and only takes properties that exist.
 
-    def __init__(self, notes=None):
+    `grey` has the names of the properties that stand where they cannot be set.
+    """
+
+    def __init__(self, notes=None, above=None):
         self.notes = [] if notes is None else notes
+        self.grey = [] if above is None else above.grey
+        self.enabled, self._above = True, above
+
+    @property
+    def is_enabled(self):
+        return self.enabled and (self._above is None or self._above.is_enabled)
 
     def column(self, *_args, **_options):
-        return Layout(self.notes)
+        return Layout(self.notes, self)
 
     row = box = split = column
 
@@ -71,12 +80,19 @@ class Layout:
     def prop(self, owner, name, **_options):
         assert name in owner.bl_rna.properties, name
         self.notes.append(("prop", owner.bl_rna.identifier, name))
+        if not self.is_enabled:
+            self.grey.append(name)
 
 
 def drawn(panel, context, draw="draw"):
+    return layout_of(panel, context, draw).notes
+
+
+def layout_of(panel, context, draw="draw"):
+    """The layout of a panel, drawn."""
     layout = Layout()
     getattr(panel, draw)(types.SimpleNamespace(layout=layout, group=getattr(panel, "group", None)), context)
-    return layout.notes
+    return layout
 
 
 def context_of(scene, **extra):

@@ -5,12 +5,14 @@ import numpy as np
 import pytest
 
 from raybatch_addon.blender import frame, sessions
+from raybatch_addon.blender.denoise_library import why_not
 from raybatch_addon.blender.reports import last
 from raybatch_addon.core.measure.parts import PARTS
 from tests.blender.features.compare import add_world
 from tests.support.blender_watch import watch_engines
 
 OpenEXR = pytest.importorskip("OpenEXR")
+needs_library = pytest.mark.skipif(bool(why_not("")), reason="this Blender has no Open Image Denoise")
 DIFFUSE, MIRROR, LEFT, TINT = (0.5, 0.4, 0.3), 0.5, 0.25, (0.8, 0.4, 0.2)
 
 
@@ -97,6 +99,7 @@ def test_guides_leave_the_picture_as_it_is_and_no_schedule_changes_them(room):
     assert np.array_equal(guided.sums.sums(), again.sums.sums())
 
 
+@needs_library
 def test_a_denoised_render_keeps_the_noisy_picture_and_leaves_the_film_alone(room, tmp_path):
     plain = rendered_film(room).passes["Combined"]
     room.raybatch.denoise, room.raybatch.error_estimate = "ON", "OFF"
@@ -122,6 +125,7 @@ def test_a_denoised_render_keeps_the_noisy_picture_and_leaves_the_film_alone(roo
         assert np.array_equal(pixels, film.made[name])
 
 
+@needs_library
 def test_a_cancel_ends_denoising_and_keeps_the_noisy_picture(room, monkeypatch):
     plain = rendered_film(room).passes["Combined"]
     room.raybatch.denoise, room.raybatch.error_estimate = "ON", "OFF"
@@ -139,6 +143,7 @@ def test_a_cancel_ends_denoising_and_keeps_the_noisy_picture(room, monkeypatch):
     assert "Combined" in rendered_film(room).made, "the next one is denoised"
 
 
+@needs_library
 def test_all_parts_of_a_denoised_render_are_reported_and_add_up(room):
     room.raybatch.denoise, room.raybatch.error_estimate = "ON", "OFF"
     sessions.close_all()  # nothing of the scene is there yet
@@ -147,6 +152,34 @@ def test_all_parts_of_a_denoised_render_are_reported_and_add_up(room):
     assert named == [part for part in PARTS if part not in ("checkpoint", "displacement", "wait", "volumes")]
     assert reported["total"] == pytest.approx(sum(reported[part] for part in named), abs=1e-5)
     assert min(reported["export"], reported["render"], reported["denoise"]) > 0
+
+
+@needs_library
+def test_each_frame_of_an_animation_is_denoised(room, tmp_path):
+    """Files hold the denoised picture of their own frame: the film's of each, and that of the frame alone."""
+    room.raybatch.denoise, room.raybatch.error_estimate = "ON", "OFF"
+    plane = next(each for each in room.objects if each.type == "MESH")
+    for number, x in ((1, -1.5), (2, 1.5)):
+        plane.location.x = x
+        plane.keyframe_insert("location", frame=number)
+    image = room.render.image_settings
+    image.file_format, image.color_mode, image.color_depth, image.exr_codec = "OPEN_EXR", "RGBA", "32", "ZIP"
+    room.frame_start, room.frame_end, room.render.filepath = 1, 2, str(tmp_path / "frame_")
+    films = []
+    frame.film_listeners.append(lambda _layer, _exported, film: films.append(film))
+    try:
+        bpy.ops.render.render(animation=True)
+    finally:
+        frame.film_listeners.pop()
+    assert len(films) == 2 and not last().errors
+    for number, film in enumerate(films, 1):
+        with OpenEXR.File(str(tmp_path / f"frame_{number:04d}.exr")) as file:
+            (pixels,) = (channel.pixels for part in file.parts for channel in part.channels.values())
+        assert np.array_equal(pixels[::-1], film.made["Combined"])
+        assert not np.array_equal(film.made["Combined"], film.passes["Combined"])
+        room.frame_set(number)
+        assert np.array_equal(rendered_film(room).made["Combined"], film.made["Combined"])
+    assert not np.array_equal(films[0].made["Combined"], films[1].made["Combined"])
 
 
 def test_a_library_that_is_missing_ends_the_render_before_it_begins(room):
