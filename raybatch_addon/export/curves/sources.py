@@ -313,9 +313,11 @@ def _stored(owner: bpy.types.ID, name: str, count: int) -> np.ndarray | None:
 
 
 def _first_strand(system: bpy.types.ParticleSystem) -> int:
-    """Number of the first strand that is rendered: children have numbers behind their parents'."""
-    settings = system.settings
-    return 0 if settings.child_type == "NONE" or settings.use_parent_particles else len(system.particles)
+    """Number of the first strand that is rendered: children have numbers behind their parents', which Cycles leaves out
+    wherever there are children.
+    """
+    has_children = system.settings.child_type != "NONE" and len(system.child_particles) > 0
+    return len(system.particles) if has_children else 0
 
 
 def _strand_numbers(system: bpy.types.ParticleSystem) -> range:
@@ -335,12 +337,16 @@ def _paths(owner: bpy.types.Object, system: bpy.types.ParticleSystem, viewport: 
     Blender gives one point a call, and nothing else: 0.4 microseconds each, a third more without a tuple of it.
     """
     settings, numbers = system.settings, _strand_numbers(system)
-    steps = (1 << (settings.display_step if viewport else settings.render_step)) + 1
+    plain = steps = (1 << (settings.display_step if viewport else settings.render_step)) + 1
     if settings.kink == "SPIRAL":
         steps += settings.kink_extra_steps
     count, asked = len(numbers), system.co_hair
     values = (asked(owner, particle_no=i, step=k)[:] for i in numbers for k in range(steps))
     points = np.fromiter(chain.from_iterable(values), np.float32, 3 * count * steps).reshape(-1, 3)
+    of_steps = points.reshape(count, steps, 3)
+    for k in range(plain, steps):  # a strand that has no such step ends before it; Blender gives zeros there
+        lacking = ~of_steps[:, k].any(1)
+        of_steps[lacking, k] = of_steps[lacking, k - 1]
     inverse = np.array(owner.matrix_world.inverted_safe(), np.float64)
     points = (points @ inverse[:3, :3].T + inverse[:3, 3]).astype(np.float32)
     return points, np.arange(0, count * steps + 1, steps, dtype=np.int32)

@@ -139,6 +139,39 @@ def test_particle_hair_grows_in_the_object_s_space():
     assert hair.radii.max() == pytest.approx(0.05, rel=1e-5) and hair.radii.min() <= 0.025001
 
 
+def hair_of(**values):
+    """The exported hair of a new square that is far from the origin."""
+    if "Ground" in bpy.data.objects:
+        bpy.data.objects.remove(bpy.data.objects["Ground"])
+    ground = add_grid("Ground", 2)
+    ground.location = (5, 0, 0)
+    ground.modifiers.new("Hair", "PARTICLE_SYSTEM")
+    settings = ground.particle_systems[0].settings
+    settings.type, settings.count, settings.hair_length, settings.display_step = "HAIR", 10, 1.0, 3
+    for name, value in values.items():
+        setattr(settings, name, value)
+    return next(mesh for mesh in exported().meshes if mesh.radii is not None)
+
+
+def test_strands_without_the_extra_steps_of_a_spiral_end_where_they_end():
+    """Blender gives the origin of the world for steps that a strand has not."""
+    plain, spiral = hair_of(), hair_of(kink="SPIRAL", kink_extra_steps=6)
+    assert np.array_equal(spiral.positions, plain.positions) and np.array_equal(spiral.radii, plain.radii)
+
+
+def test_parents_are_left_out_where_there_are_children_as_in_cycles():
+    count = {
+        name: len(np.setdiff1d(hair.triangles[:, 0], hair.triangles[:, 1]))
+        for name, hair in (
+            ("alone", hair_of()),
+            ("children", hair_of(child_type="SIMPLE", child_percent=3)),
+            ("both", hair_of(child_type="SIMPLE", child_percent=3, use_parent_particles=True)),
+            ("no children", hair_of(child_type="SIMPLE", child_percent=0)),
+        )
+    }
+    assert count == {"alone": 10, "children": 30, "both": 30, "no children": 10}
+
+
 def test_particle_hair_without_radius_is_named_and_its_points_are_not_asked_for(monkeypatch):
     owner = add_grid("Skin", 2)
     owner.modifiers.new("Hair", "PARTICLE_SYSTEM")

@@ -10,7 +10,7 @@ from tests.blender.features.known import quick_parameters
 from tests.blender.features.runner import run_picture
 
 
-@pytest.mark.parametrize("feature", quick_parameters("picture", 3))
+@pytest.mark.parametrize("feature", quick_parameters("picture"))
 def test_pictures(feature, addon, tmp_path):
     result = run_picture(feature, tmp_path)
     print(result.text())

@@ -38,8 +38,8 @@ def surroundings(scene: bpy.types.Scene) -> bpy.types.Camera:
     return scene.camera.data
 
 
-def _panorama(name: str, kind: str, samples: int = 64, more=None, **values) -> None:
-    @feature(f"Camera: {name}", "Surface", "picture", samples=samples)
+def _panorama(name: str, kind: str, samples: int = 64, more=None, quick: bool = False, **values) -> None:
+    @feature(f"Camera: {name}", "Surface", "picture", samples=samples, quick=quick)
     def build(scene: bpy.types.Scene) -> None:
         camera = surroundings(scene)
         camera.type = "PANO"
@@ -56,7 +56,7 @@ def _lens(camera: bpy.types.Camera) -> None:
     camera.dof.aperture_blades, camera.dof.aperture_rotation, camera.dof.aperture_ratio = 3, 0.3, 1.5
 
 
-_panorama("equirectangular", "EQUIRECTANGULAR")
+_panorama("equirectangular", "EQUIRECTANGULAR", quick=True)
 _panorama(
     "equirectangular, a part",
     "EQUIRECTANGULAR",
@@ -71,7 +71,7 @@ _panorama("equirectangular, depth of field", "EQUIRECTANGULAR", 512, _lens)
 _panorama("mirror ball, depth of field", "MIRRORBALL", 512, _lens)
 _panorama("equiangular cube map face", "EQUIANGULAR_CUBEMAP_FACE")
 _panorama("mirror ball", "MIRRORBALL")
-_panorama("fisheye, equidistant", "FISHEYE_EQUIDISTANT", fisheye_fov=4.0)
+_panorama("fisheye, equidistant", "FISHEYE_EQUIDISTANT", quick=True, fisheye_fov=4.0)
 _panorama("fisheye, equisolid", "FISHEYE_EQUISOLID", fisheye_fov=math.pi, fisheye_lens=10.5, sensor_width=36.0)
 _panorama(
     "fisheye, equisolid, vertical fit", "FISHEYE_EQUISOLID", fisheye_fov=2.0, sensor_fit="VERTICAL", sensor_height=20.0

@@ -9,7 +9,7 @@ import numpy as np
 
 from tests.blender.features.build import ball, box, floor, lamp, look, material_graph, shaded
 from tests.blender.features.compare import add_world
-from tests.blender.features.families.curves import tuft
+from tests.blender.features.families.curves.strands import tuft
 from tests.blender.features.registry import feature
 from tests.support.blender_builders import add_grid
 
@@ -62,7 +62,7 @@ def blurred(name: str, samples: int = 256, **more):
 
 
 def _position(position: str) -> None:
-    @blurred(f"an object that moves, {position.lower()} of frame")
+    @blurred(f"an object that moves, {position.lower()} of frame", quick=position == "CENTER")
     def build(scene: bpy.types.Scene) -> None:
         stage(scene)
         scene.render.motion_blur_position = position
@@ -88,7 +88,7 @@ _turning(1)
 _turning(3)
 
 
-@blurred("a camera that moves and zooms")
+@blurred("a camera that moves and zooms", quick=True)
 def camera(scene: bpy.types.Scene) -> None:
     stage(scene)
     box("Box", (0.4, 0, 0.6), (1, 1, 1), 0.3, (0.8, 0.3, 0.1))
@@ -111,7 +111,7 @@ def panorama(scene: bpy.types.Scene) -> None:
     keyed(view, "rotation_euler", (math.pi / 2, 0, -0.3), (math.pi / 2, 0, 0.3))
 
 
-@blurred("vertices that move by a shape key, smooth")
+@blurred("vertices that move by a shape key, smooth", quick=True)
 def shape_key(scene: bpy.types.Scene) -> None:
     stage(scene)
     made = ball("Ball", (0, 0, 1), 1.0)
@@ -198,7 +198,7 @@ def mirror(scene: bpy.types.Scene) -> None:
     linear(made)
 
 
-@blurred("instances that move")
+@blurred("instances that move", quick=True)
 def instances(scene: bpy.types.Scene) -> None:
     stage(scene)
     part = box("Part", (0, 0, 0), (0.4, 0.4, 0.4), 0.3, (0.3, 0.3, 0.8))
@@ -225,7 +225,7 @@ def curve(scene: bpy.types.Scene) -> None:
 
 
 def _rolling(duration: float) -> None:
-    @blurred(f"rolling shutter, {duration:g} of the time")
+    @blurred(f"rolling shutter, {duration:g} of the time", quick=duration > 0)
     def build(scene: bpy.types.Scene) -> None:
         stage(scene)
         scene.cycles.rolling_shutter_type, scene.cycles.rolling_shutter_duration = "TOP", duration
@@ -273,7 +273,7 @@ def volumes(scene: bpy.types.Scene) -> None:
     keyed(glass, "location", (0.9, 0, 0.7), (0.9, 0.4, 1.4))
 
 
-@blurred("hair on what deforms", samples=256)
+@blurred("hair on what deforms", samples=256, quick=True)
 def hair(scene: bpy.types.Scene) -> None:
     stage(scene)
     ground = add_grid("Emitter", 6)

@@ -55,7 +55,7 @@ def absorption(scene: bpy.types.Scene) -> None:
     _stage(scene, lambda graph: graph.value("ShaderNodeVolumeAbsorption", {"Color": (0.8, 0.4, 0.2), "Density": 1.0}))
 
 
-@feature("Volume Scatter: Henyey-Greenstein", "Volumes", "picture")
+@feature("Volume Scatter: Henyey-Greenstein", "Volumes", "picture", quick=True)
 def henyey_greenstein(scene: bpy.types.Scene) -> None:
     _stage(scene, _scatter("HENYEY_GREENSTEIN", Anisotropy=0.5))
 
@@ -143,6 +143,14 @@ def fog(scene: bpy.types.Scene) -> None:
     scene.cycles.volume_biased = True
 
 
+@feature("World that absorbs", "Volumes", "picture", quick=True)
+def absorbing_world(scene: bpy.types.Scene) -> None:
+    _stage(scene, None)
+    diffuse(ball("Ball", (0, 0, 1), 0.9), (0.8, 0.4, 0.3))
+    values = {"Color": (0.8, 0.5, 0.2), "Density": 0.2}
+    world_volume(scene, lambda graph: graph.value("ShaderNodeVolumeAbsorption", values))
+
+
 @feature("Density by noise", "Volumes", "picture")
 def noise(scene: bpy.types.Scene) -> None:
     def build(graph: Graph):
@@ -225,7 +233,7 @@ def _grids(scene: bpy.types.Scene) -> bpy.types.Object:
     return obj
 
 
-@feature("OpenVDB object", "Volumes", "picture")
+@feature("OpenVDB object", "Volumes", "picture", quick=True, samples=32)
 def grid_object(scene: bpy.types.Scene) -> None:
     obj = _grids(scene)
     obj.rotation_euler.z = 0.5
@@ -277,7 +285,7 @@ def made_by_nodes(scene: bpy.types.Scene) -> None:
     obj.modifiers.new("Cloud", "NODES").node_group = tree
 
 
-@feature("Camera in a volume, with a lamp", "Volumes", "picture")
+@feature("Camera in a volume, with a lamp", "Volumes", "picture", quick=True)
 def camera_inside(scene: bpy.types.Scene) -> None:
     _stage(scene, None, 0.1, 100.0, "POINT")
     diffuse(ball("Ball", (0, 0, 1), 0.7), (0.3, 0.5, 0.8))

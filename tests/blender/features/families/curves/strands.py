@@ -54,7 +54,7 @@ def by_color(scene: bpy.types.Scene) -> None:
     material_graph(tuft(), _principled(Color=(0.8, 0.4, 0.2, 1.0), Offset=0.1, Coat=0.5))
 
 
-@feature("Curves: Principled Hair by melanin, at random", "Curves", "picture")
+@feature("Curves: Principled Hair by melanin, at random", "Curves", "picture", quick=True)
 def by_melanin(scene: bpy.types.Scene) -> None:
     _light(scene)
     values = {"Melanin": 0.4, "Random Color": 0.7, "Random Roughness": 0.4, "Radial Roughness": 0.6}
@@ -120,7 +120,7 @@ def _cloud(corners: tuple, sizes: tuple[float, float]) -> bpy.types.PointCloud:
     return cloud
 
 
-@feature("Point cloud", "Curves", "picture")
+@feature("Point cloud", "Curves", "picture", quick=True)
 def points(scene: bpy.types.Scene) -> None:
     _light(scene)
     cloud = _cloud(((-1, -1, 0.2), (1, 1, 1.6)), (0.03, 0.15))
@@ -129,7 +129,7 @@ def points(scene: bpy.types.Scene) -> None:
     )
 
 
-@feature("Curves: ribbons of Principled Hair", "Curves", "picture")
+@feature("Curves: ribbons of Principled Hair", "Curves", "picture", quick=True)
 def ribbons(scene: bpy.types.Scene) -> None:
     _light(scene, "RIBBONS")
     material_graph(tuft(), _principled(Color=(0.8, 0.4, 0.2, 1.0), Offset=0.1, Coat=0.5))
@@ -143,7 +143,7 @@ def coarse_ribbons(scene: bpy.types.Scene) -> None:
     material_graph(tuft(steps=4), lambda graph: graph.value("ShaderNodeBsdfDiffuse", color))
 
 
-@feature("Curves: straight between points", "Curves", "picture")
+@feature("Curves: straight between points", "Curves", "picture", quick=True)
 def straight(scene: bpy.types.Scene) -> None:
     _light(scene, "THICK_LINEAR")
     material_graph(tuft(steps=4), lambda graph: graph.value("ShaderNodeBsdfDiffuse", {"Color": (0.3, 0.6, 0.2, 1.0)}))

@@ -1,0 +1,1 @@
+"""Features of hair, curves and point clouds."""
