@@ -12,7 +12,6 @@ import functools
 
 import warp as wp
 
-from ..bvh.margin import TRIANGLE_TEST
 from ..float32 import UNIT_ROUNDOFF
 from ..native.build import native_source
 from ..scene.geometry import Geometry, corners_of, transform_vector
@@ -20,8 +19,21 @@ from ..scene.moved import positions_at, step_place, transform_at
 from ..scene.segments import COORDINATE_BITS, COORDINATE_MASK, NORMAL_STEPS, RADIUS_BITS, RADIUS_MASK, RADIUS_SHIFT
 from .surface import SurfacePoint, carried_error, make_surface, material_of, moved_normal, unit_or_zero
 
-# Position on a segment, and the next ray's test of it: roundings of numbers of the segment's size
-_SEGMENT_TEST = 3.0 * TRIANGLE_TEST
+# What the next ray's test of a segment (`native/traverse/segments/meet.h`) may be off. Write L for the axis's length, R
+# for the larger radius, S for the sum of the axis's coordinates and 2 R, s for the slope of radii, and A = sqrt(2 L^2 +
+# 48 R^2) <= 3.5 S for how far along the ray the test moves its origin at most. There the ray is at x from the axis and
+# the radius is r, neither more than c = rho + s A, with rho the radius at the hit:
+#
+# - x, product and difference across the axis, product and sum of the move: 4 u S a coordinate, which
+#   is 14 u S |x| of x x, and its own three roundings:                                17 u S c
+# - r, two roundings of radii, and the place along the axis, 8 u S of the origin's and 9 u A of the
+#   speed's and the move, times the slope: of r r                                     2 u S c + 80 u s S c
+# - r r, b b - a c, its root and the quotient, where c <= 4.5 S sqrt(1 + s s):        11 u c c
+#
+# The root is found to what x x - r r is known to. At the hit |x| + r is 2 rho, and the cone is nearer by sqrt(1 + s s):
+# the hit is within **75 u S c / rho** of it, without what the way from the ray's origin costs, 14 u of its length
+# (docs/stability.md), which is in S for a ray that leaves. A ribbon's test has no squares: 20 u S.
+_SEGMENT_TEST = 75.0 * UNIT_ROUNDOFF
 
 
 @wp.struct
@@ -153,12 +165,16 @@ def make_segment_point(instancing: bool, moving: bool = False) -> wp.Function:
         s = segment_of(geometry, triangle)
         if wp.static(moving):
             s = segment_at(geometry, geometry.instance_mesh[instance], triangle, time)
+        radius = s.first_radius
+        widens = float(0.0)  # how much the radius changes along the way to where a ray is nearest to the axis, at most
         unit_axis = unit_or_zero(s.axis)
         if wp.dot(unit_axis, unit_axis) > 0.5:
             length = wp.dot(unit_axis, s.axis)
             taper = s.second_radius - s.first_radius
             outwards = _outwards(unit_axis, uv[1])
             radius = s.first_radius + uv[0] * taper
+            most = wp.max(s.first_radius, s.second_radius)
+            widens = wp.abs(taper) * (1.5 + 7.0 * most / length)
             position = s.first + uv[0] * s.axis + radius * outwards
             geometric = unit_or_zero(outwards * length - taper * unit_axis)
             # the curve's own tangent turns from joint to joint, and the normal with it
@@ -167,10 +183,14 @@ def make_segment_point(instancing: bool, moving: bool = False) -> wp.Function:
             smooth = unit_or_zero(across * length - taper * tangent)
         else:
             geometric = _on_octahedron(uv)
-            position = s.first + s.first_radius * geometric
+            position = s.first + radius * geometric
             smooth = geometric
         reach = wp.abs(s.axis[0]) + wp.abs(s.axis[1]) + wp.abs(s.axis[2])
         reach = wp.static(_SEGMENT_TEST) * (reach + 2.0 * wp.max(s.first_radius, s.second_radius))
+        # the test knows squares of radii, which says less of radii where these are small
+        square = reach * (radius + widens)
+        if square > 0.0:
+            reach = 2.0 * square / (wp.sqrt(radius * radius + 2.0 * square) + radius)
         surface = SurfacePoint()
         surface.error = wp.vec3(reach, reach, reach) + wp.static(3.0 * UNIT_ROUNDOFF) * wp.vec3(
             wp.abs(position[0]), wp.abs(position[1]), wp.abs(position[2])

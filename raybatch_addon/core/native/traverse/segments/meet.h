@@ -6,8 +6,6 @@
 // size, and so are its roundings. The equation of second degree has two roots; the one at which the ray comes in is
 // (-B - sqrt(B B - A C)) / A for cones of any slope. A sphere is a segment whose axis is 0.
 
-// Rays closer to the axis's direction than this, squared, keep their origin: nothing says where they are nearest to it
-constexpr float PARALLEL = 1e-10f;
 struct Segment {
     Number ax, ay, az, bx, by, bz;  // its points
     Number r0, r1;                  // its radii there
@@ -37,7 +35,11 @@ auto enter_segment = [&](const float* o, const float* d, const Segment& g) INLIN
     Number x = ox - ex * along, y = oy - ey * along, z = oz - ez * along;
     const Number dx = d[0] - ex * speed, dy = d[1] - ey * speed, dz = d[2] - ez * speed;
     const Number squared = dx * dx + dy * dy + dz * dz;
-    const Number to_axis = squared > PARALLEL * dd ? -(dx * x + dy * y + dz * z) / squared : zero;
+    // Rays along the axis are nearest to it far from the segment, where roundings are of that distance. They keep their
+    // origin: where one of them meets the segment it is within four radii of the axis already.
+    const Number most = g.r0 > g.r1 ? g.r0 : g.r1, reach = 2.0f * ee + 48.0f * (most * most);
+    const Number to_nearest = -(dx * x + dy * y + dz * z) / squared;
+    const Number to_axis = to_nearest * dd * to_nearest <= reach ? to_nearest : zero;
     x = x + to_axis * dx;
     y = y + to_axis * dy;
     z = z + to_axis * dz;
@@ -54,7 +56,7 @@ auto enter_segment = [&](const float* o, const float* d, const Segment& g) INLIN
     entry.qx = x + step * dx + ex * along;
     entry.qy = y + step * dy + ey * along;
     entry.qz = z + step * dz + ez * along;
-    const Number met = 0.5f * (g.r0 + g.r1) + taper * along, most = g.r0 > g.r1 ? g.r0 : g.r1;
+    const Number met = 0.5f * (g.r0 + g.r1) + taper * along;
     // how far out it may be, which the box of the segment allows for; a plane may cut farther out where radii change
     const Number beyond = along > 0.5f ? along - 0.5f : along < -0.5f ? -0.5f - along : zero;
     const Number room = 4.0f * most * most - beyond * beyond * ee;
