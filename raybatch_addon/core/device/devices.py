@@ -14,13 +14,13 @@ from pathlib import Path
 import warp as wp
 
 from ..errors import DeviceError
-from .by_reference import pass_structs_by_reference
+from .codegen.by_reference import pass_structs_by_reference
+from .codegen.local_arrays import set_local_arrays_once
 from .compiler import compile_apart
 from .declared import is_known
 from .kept_kernels import folders, spare_folder
 from .kernel import block_size_of
 from .loading import find_files, is_loaded, load, load_here_what_is_launched
-from .local_arrays import set_local_arrays_once
 from .precompiled_header import share_precompiled_header
 from .ready import write_notes
 

@@ -30,8 +30,8 @@ MODULE_OPTIONS: dict[str, Any] = {
 KERNEL_OPTIONS: dict[str, Any] = unique_options(MODULE_OPTIONS)
 
 # Large modules of the general tier: the compiler inlines what it finds worth it, and functions take structs by
-# reference (`by_reference.py`). They compile in a third to two thirds of the time. Kernels of surfaces alone render as
-# fast as inlined; where all stages are one kernel, surfaces are 5 to 8 % slower, and volumes a quarter.
+# reference (`codegen/by_reference.py`). They compile in a third to two thirds of the time. Kernels of surfaces alone
+# render as fast as inlined; where all stages are one kernel, surfaces are 5 to 8 % slower, and volumes a quarter.
 OUT_OF_LINE_OPTIONS: dict[str, Any] = {**MODULE_OPTIONS, "cpu_compiler_flags": _cpu_flags(1000)}
 OUT_OF_LINE_KERNEL_OPTIONS: dict[str, Any] = unique_options(OUT_OF_LINE_OPTIONS)
 # By these modules of the core are known

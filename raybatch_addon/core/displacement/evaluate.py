@@ -8,9 +8,9 @@ from collections.abc import Callable
 import numpy as np
 import warp as wp
 
+from ..device.codegen.local_arrays import Unset
 from ..device.devices import load_module
 from ..device.kernel import KERNEL_OPTIONS
-from ..device.local_arrays import Unset
 from ..programs.op import NodeData
 from ..programs.point import ShadingPoint
 from ..programs.run import make_run

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from ..device.local_arrays import Unset
+from ..device.codegen.local_arrays import Unset
 from ..scene.program import ProgramFeatures
 from ..shading.bsdf.materials import ClosureRecord, address_of
 from .op import NodeData, op_named, op_numbers

@@ -7,7 +7,7 @@ import pytest
 import warp as wp
 
 from raybatch_addon.core.ahead.request import GeneralRequest
-from raybatch_addon.core.device.by_reference import by_reference
+from raybatch_addon.core.device.codegen.by_reference import by_reference
 from raybatch_addon.core.device.devices import find_device, start_warp
 from raybatch_addon.core.device.kernel import MODULE_OPTIONS, OUT_OF_LINE_OPTIONS, is_general
 

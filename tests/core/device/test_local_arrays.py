@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 import warp as wp
 
-from raybatch_addon.core.device import local_arrays
+from raybatch_addon.core.device.codegen import local_arrays
+from raybatch_addon.core.device.codegen.local_arrays import Unset, set_once
 from raybatch_addon.core.device.devices import start_warp
 from raybatch_addon.core.device.kernel import MODULE_OPTIONS
-from raybatch_addon.core.device.local_arrays import Unset, set_once
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.shading.bsdf.materials import address_of
 from tests.core.device.small_kernels import ROOT
@@ -102,7 +102,7 @@ def test_what_warp_would_write_another_way_stays():
 # Renders the features named on the command line with arrays that hold `sys.argv[1]`
 FILLED = """
 import json, sys
-from raybatch_addon.core.device import local_arrays
+from raybatch_addon.core.device.codegen import local_arrays
 local_arrays.fill_unset = sys.argv[1]
 from tests.core.device.test_local_arrays import digests
 print(json.dumps(digests(sys.argv[2:])))

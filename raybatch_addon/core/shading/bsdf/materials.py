@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import warp as wp
 
-from ...device.local_arrays import Unset
+from ...device.codegen.local_arrays import Unset
 from ...errors import SceneError
 from ...native.build import native_source
 from ...native.structs import record_type, upload_records

@@ -11,7 +11,7 @@ import functools
 import numpy as np
 import warp as wp
 
-from ...device.local_arrays import Unset
+from ...device.codegen.local_arrays import Unset
 from ...float32 import LARGEST
 from ...programs.inputs_data import InputData, inverses, upload_camera_inputs
 from ...programs.op import NodeData

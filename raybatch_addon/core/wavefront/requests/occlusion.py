@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from ...device.local_arrays import Unset
+from ...device.codegen.local_arrays import Unset
 from ...film.tile import FilmTile
 from ...programs.run import make_run
 from ...rays import Rays

@@ -8,7 +8,7 @@ import functools
 
 import warp as wp
 
-from ...device.local_arrays import Unset
+from ...device.codegen.local_arrays import Unset
 from ...film.tile import FilmTile
 from ...rays import Rays
 from ...scene.description import Visibility

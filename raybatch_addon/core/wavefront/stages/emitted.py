@@ -4,7 +4,7 @@ import functools
 
 import warp as wp
 
-from ...device.local_arrays import Unset
+from ...device.codegen.local_arrays import Unset
 from ...float32 import LARGEST
 from ...programs.point import ShadingPoint
 from ...programs.run import make_run

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from ...device.local_arrays import Unset
+from ...device.codegen.local_arrays import Unset
 from ...scene.description import Grid, Mesh, Scene, Visibility
 from ...scene.frozen import fact
 from ...scene.geometry import transform_point

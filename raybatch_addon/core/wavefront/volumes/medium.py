@@ -6,7 +6,7 @@ import functools
 
 import warp as wp
 
-from ...device.local_arrays import Unset
+from ...device.codegen.local_arrays import Unset
 from ...float32 import UNIT_ROUNDOFF
 from ...programs.point import IN_VOLUME, ShadingPoint
 from ...programs.run import make_run

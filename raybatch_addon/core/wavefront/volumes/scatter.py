@@ -13,7 +13,7 @@ import functools
 
 import warp as wp
 
-from ...device.local_arrays import Unset
+from ...device.codegen.local_arrays import Unset
 from ...rays import Rays
 from ...scene.description import LightKind
 from ...scene.features import narrow

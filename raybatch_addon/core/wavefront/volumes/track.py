@@ -17,7 +17,7 @@ import functools
 
 import warp as wp
 
-from ...device.local_arrays import Unset
+from ...device.codegen.local_arrays import Unset
 from ...programs.point import ShadingPoint
 from ...scene.program import ProgramFeatures
 from ...shading.bsdf.materials import address_of

@@ -6,7 +6,7 @@ import functools
 
 import warp as wp
 
-from ....device.local_arrays import Unset
+from ....device.codegen.local_arrays import Unset
 from ....programs.ops.inputs.ray_inputs import ANSWERS, KNOWN
 from ....programs.ops.textures.image_levels import CHANCE, FOOTPRINT
 from ....programs.point import ShadingPoint

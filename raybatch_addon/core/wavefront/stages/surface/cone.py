@@ -18,7 +18,7 @@ import functools
 
 import warp as wp
 
-from ....device.local_arrays import Unset
+from ....device.codegen.local_arrays import Unset
 from ....float32 import PI
 from ....programs.op import NodeData
 from ....programs.ops.textures.image_levels import CHANCE, FOOTPRINT

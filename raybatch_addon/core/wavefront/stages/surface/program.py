@@ -4,7 +4,7 @@ import functools
 
 import warp as wp
 
-from ....device.local_arrays import Unset
+from ....device.codegen.local_arrays import Unset
 from ....programs.op import NodeData
 from ....programs.ops.inputs.geometry_inputs import footprint_axis, pixel_footprint
 from ....programs.point import ShadingPoint

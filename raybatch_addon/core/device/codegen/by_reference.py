@@ -12,7 +12,7 @@ from typing import Any
 
 import warp as wp
 
-from .kernel import OUT_OF_LINE_OPTIONS
+from ..kernel import OUT_OF_LINE_OPTIONS
 
 _codegen = wp._src.codegen
 # A pointer into what a name stands for, as in `var_3 = &(var_point.frame);` and `var_4 = wp::indexref(var_3, var_2);`

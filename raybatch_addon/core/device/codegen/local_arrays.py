@@ -15,7 +15,7 @@ from typing import Any
 
 import warp as wp
 
-from .kernel import OUR_FLAGS
+from ..kernel import OUR_FLAGS
 
 _codegen = wp._src.codegen
 _DECLARED = re.compile(r"^([ \t]*)wp::fixedarray_t<(\d+), ([\w:]+)> (var_\w+);$", re.MULTILINE)

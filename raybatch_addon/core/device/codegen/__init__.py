@@ -1,0 +1,1 @@
+"""How Warp writes the C++ of kernels of the core: what it passes, and what it sets to zero."""
