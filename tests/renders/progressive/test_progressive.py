@@ -1,9 +1,13 @@
 """Renders that show the whole frame early and refine it: what is shown, and that the film is the same."""
 
+import time
+
 import numpy as np
 import pytest
 
+from raybatch_addon.core.checkpoint.checkpoint import Checkpoint
 from raybatch_addon.core.film import Film
+from raybatch_addon.core.wavefront import integrator
 from raybatch_addon.core.wavefront.render import steps
 from tests.support import scenes, schedule_scenes
 from tests.support.under_test import DEVICE
@@ -107,3 +111,52 @@ def test_a_stopped_render_goes_on_to_the_same_film(session, plain, after, then):
     film = session.render(scenes.mixed(FRAME), settings.replace(tile_order=then), resume=film)
     assert film.complete
     assert_same(film.passes, plain.passes)
+
+
+class FrequentCheckpoint(Checkpoint):
+    """Is due when it is told so."""
+
+    due, kept, looks, begun = False, 0, 0, 0
+
+    def is_due(self):
+        return self.due
+
+    def keep(self, state):
+        self.due, self.kept, self.looks = False, self.kept + 1, 0
+        self.begun = sum(each.items_begun for each in state.states)
+        super().keep(state)
+        self.wait()
+
+
+@pytest.mark.parametrize("after", [2, 7, 23])
+@pytest.mark.parametrize("settings", [SETTINGS, HALVES], ids=["plain", "halves"])
+def test_no_tile_gets_ahead_where_the_film_is_kept_often(session, tmp_path, monkeypatch, settings, after):
+    """The workers stop for a copy of the film whenever they have looked `after` times whether they are to stop, since
+    they began a path: within a step, or behind a few.
+    """
+    settings = settings.replace(**PROGRESSIVE, thread_count=1, sample_count=12)
+    expected = session.render(scenes.mixed(FRAME), settings)
+    keeper, states, most_ahead = FrequentCheckpoint(tmp_path / "a.checkpoint"), {}, [0.0]
+    render = integrator.TileIntegrator.render
+
+    def watched(self, state, first, count, stop, most):
+        def tells():
+            keeper.looks += sum(each.items_begun for each in states.values()) > keeper.begun
+            if keeper.looks >= after:
+                keeper.due = True
+                while not stop():
+                    time.sleep(0.0002)
+            return stop()
+
+        states[box_of(state.tile), state.half] = state
+        tile = render(self, state, first, count, tells, most)
+        if len(states) == 4 * settings.half_count:
+            begun = [each.items_begun / each.pixel_count for each in states.values()]
+            most_ahead[0] = max(most_ahead[0], max(begun) - min(begun))
+        return tile
+
+    monkeypatch.setattr(integrator.TileIntegrator, "render", watched)
+    film = session.render(scenes.mixed(FRAME), settings, checkpoint=keeper)
+    assert film.complete and keeper.kept > 4
+    assert len(states) == 4 * settings.half_count and 0 < most_ahead[0] <= 1
+    assert_same(film.passes, expected.passes)

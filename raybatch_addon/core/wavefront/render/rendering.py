@@ -190,7 +190,8 @@ class Rendering:
         state, events = self._state, self._events
         is_cancelled = is_kept = False
         todo: queue.SimpleQueue[tuple[TileState, ...]] = queue.SimpleQueue()
-        for halves in state.open_tiles:
+        # with steps no tile gets ahead of the others, however often the workers are stopped
+        for halves in state.open_tiles_behind_first if self._steps else state.open_tiles:
             todo.put(halves)
         results: queue.SimpleQueue[FinishedTile | BaseException | None] = queue.SimpleQueue()
         stop = threading.Event()
@@ -295,10 +296,11 @@ class Rendering:
     ) -> FinishedTile:
         """A step of a tile, or all that is left of its round."""
         start, tail_seconds, finished = time.perf_counter(), 0.0, []
-        step, begun, before = self._step_of(halves), [state.items_begun for state in halves], integrator.items_done
+        samples_most = self._step_end(halves)
+        begun, before = [state.items_begun for state in halves], integrator.items_done
         for state in halves:
             samples = self._state.samples_of(state)
-            most = step * state.pixel_count
+            most = max(samples_most * state.pixel_count - state.items_begun, 0)
             finished.append(integrator.render(state, samples.first, samples.sample_count, stop, most))
             tail_seconds += integrator.tail_seconds
         joined = time.perf_counter()
@@ -311,11 +313,16 @@ class Rendering:
             self._steps.note(tile.rectangle, samples, end - start, tail_seconds + end - joined)
         return tile
 
-    def _step_of(self, halves: Sequence[TileState]) -> int:
-        """Samples of each half that a tile gets before it is shown."""
+    def _step_end(self, halves: Sequence[TileState]) -> int:
+        """Samples of the round that each half of a tile has when it is shown: the same for all, wherever a stop left
+        them.
+        """
         tile = halves[0].tile
-        left = max(-(-self._state.items_left(state) // max(state.pixel_count, 1)) for state in halves)
-        return self._steps.samples((tile.x, tile.y, tile.width, tile.height), left) if self._steps else left
+        last = max(self._state.samples_of(state).sample_count for state in halves)
+        if not self._steps:
+            return last
+        begun = min(state.items_begun // max(state.pixel_count, 1) for state in halves)
+        return begun + self._steps.samples((tile.x, tile.y, tile.width, tile.height), last - begun)
 
     def _hand_out(self, tile: FinishedTile) -> None:
         """Put `tile` into the film, and show it."""

@@ -105,6 +105,15 @@ class ResumeState:
         """Tiles of which not all paths of the round under way were begun."""
         return [halves for halves in self.tiles if self.items_left_of(halves)]
 
+    @property
+    def open_tiles_behind_first(self) -> list[tuple[TileState, ...]]:
+        """The same, those with the fewest samples of the round first; equal ones in the order of the tiles."""
+
+        def samples_begun(halves: Sequence[TileState]) -> float:
+            return sum(each.items_begun for each in halves) / sum(each.pixel_count for each in halves)
+
+        return sorted(self.open_tiles, key=samples_begun)
+
     def items_left_of(self, halves: Sequence[TileState]) -> int:
         """The same of all halves of a tile."""
         return sum(map(self.items_left, halves))
