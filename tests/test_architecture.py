@@ -58,6 +58,7 @@ ROOMS = (
     "blender/reports.py",
     "blender/checkpoints.py",
     "blender/exit_code.py",
+    "blender/status",
     "blender/missing.py",
     "blender/kernel_cache.py",
     "blender/general_kernels.py",

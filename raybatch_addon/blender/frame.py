@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import time
 import traceback
 from collections.abc import Callable, Sequence
 
@@ -27,6 +26,8 @@ from .denoise_library import library_for
 from .denoising import denoise_film, whole_tile, with_guides
 from .result import ResultWriter, stamp_mattes, view_names
 from .sessions import session_for
+from .status.status import RenderStatus
+from .status.terminal import plain_lines
 
 # Called with (view layer name, exported scene, film) after each view layer; for scripts that want more than pixels
 film_listeners: list[Callable[[str, Scene, Film], None]] = []
@@ -41,9 +42,6 @@ note_listeners: list[Callable[[str], None]] = []
 # Asked several times a second whether the render is to end; for scripts, which get signals. What is done is listened to
 # as a film, but a picture that lacks samples is an error, so that Blender neither saves it nor goes on to other frames
 stop_listeners: list[Callable[[], bool]] = []
-
-# Blender's status line is written at most this often [s]; without a window it is a line on the terminal
-STATUS_SECONDS, PLAIN_SECONDS = 0.25, 5.0
 
 
 def render_view_layer(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> None:
@@ -79,6 +77,7 @@ def render_view_layer(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsg
 def _fail(engine: bpy.types.RenderEngine, report: reports.RenderReport, message: str) -> None:
     line = " ".join(message.split())
     report.errors.append(line)
+    plain_lines.begin()  # Blender prints the error, and nothing of an end behind it
     if bpy.app.background and not bpy.app.module:
         exit_code.end_with(exit_code.RENDER_FAILED)
     engine.report({"ERROR"}, f"RayBatch: {line}")
@@ -89,7 +88,7 @@ def _render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph, repo
     if settings.tile_order == "AUTO" and not bpy.app.background:  # somebody watches
         settings = settings.replace(tile_order="PROGRESSIVE")
     layer_name = depsgraph.view_layer.name
-    status = _Status(engine, layer_name)
+    status = RenderStatus(engine, layer_name, depsgraph.scene.frame_current)
     for name in view_names(engine, layer_name, depsgraph.scene):
         if name:
             engine.active_view_set(name)
@@ -109,7 +108,7 @@ def _render_view(
     depsgraph: bpy.types.Depsgraph,
     report: reports.RenderReport,
     settings: RenderSettings,
-    status: _Status,
+    status: RenderStatus,
     view: View,
 ) -> Film | None:
     """The film of `view`, which the result shows; None where the render ended before there was one."""
@@ -220,63 +219,3 @@ def _report_warnings(engine: bpy.types.RenderEngine, report: reports.RenderRepor
     if new:
         more = f" (and {len(new) - 1} more, listed in the panel Last Render)" if len(new) > 1 else ""
         engine.report({"WARNING"}, f"RayBatch: {new[0]}{more}")
-
-
-class _Status:
-    """Blender's status line, progress bar and memory of a render."""
-
-    def __init__(self, engine: bpy.types.RenderEngine, layer_name: str) -> None:
-        self._engine = engine
-        self._layer_name = layer_name
-        self._shown = float("-inf")
-
-    def show(self, text: str) -> None:
-        """Write `text` now; without a window only where a line is due."""
-        if not bpy.app.background or self._is_due():
-            self._write(text)
-
-    def end(self, film: Film, sample_count: int) -> None:
-        """The last line of a render without a window, which those who count its samples wait for."""
-        if bpy.app.background and film.complete:
-            self._write(f"Sample {sample_count}/{sample_count} | Finished")
-
-    def _is_due(self) -> bool:
-        seconds = PLAIN_SECONDS if bpy.app.background else STATUS_SECONDS
-        return time.perf_counter() - self._shown >= seconds
-
-    def _write(self, text: str) -> None:
-        self._shown = time.perf_counter()
-        self._engine.update_stats(self._layer_name, text)
-
-    def update(self, progress: Progress) -> None:
-        """Show `progress`, unless something was shown just before."""
-        if not self._is_due():
-            return
-        if progress.stage == "render":
-            self._engine.update_progress(progress.fraction)
-        if progress.memory_bytes:
-            used, peak = progress.memory_bytes / 2**20, progress.memory_peak / 2**20
-            self._engine.update_memory_stats(memory_used=used, memory_peak=max(used, peak))
-        self.show(status_text(progress))
-
-
-def status_text(progress: Progress) -> str:
-    """One line on where a render stands."""
-    memory = []
-    if progress.memory_bytes:
-        used, peak = (each / 2**20 for each in (progress.memory_bytes, progress.memory_peak))
-        memory = [f"Mem: {used:.0f}M, Peak: {max(used, peak):.0f}M"]
-    if progress.stage != "render":
-        return " | ".join([progress.message, *memory])
-    parts = [
-        f"Sample {progress.samples_done:.0f}/{progress.samples_total}",
-        f"{progress.rays_per_second / 1e6:.2f} Mrays/s",
-    ]
-    if progress.seconds_left is not None:
-        minutes, seconds = divmod(round(progress.seconds_left), 60)
-        parts.append(f"{minutes:d}:{seconds:02d} left")
-    parts += memory
-    if progress.kernels:
-        beside = ", compiling specialised ones" if progress.compiles else ""
-        parts.append(f"{progress.kernels} kernels{beside}")
-    return " | ".join(parts)

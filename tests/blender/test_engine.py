@@ -12,6 +12,7 @@ bpy = pytest.importorskip("bpy")
 
 from raybatch_addon.blender import frame, reports, sessions
 from raybatch_addon.blender.result import ResultWriter, register_passes
+from raybatch_addon.blender.status import terminal
 from raybatch_addon.core.device.devices import host_memory_used
 from raybatch_addon.core.errors import SceneError
 from raybatch_addon.export.passes import OWN_PASS_PROPERTIES
@@ -371,7 +372,7 @@ def test_statistics_count_the_export(lit, films):
 
 
 def test_the_status_line_shows_stage_speed_and_time_left(lit, monkeypatch, watch):
-    monkeypatch.setattr(frame, "PLAIN_SECONDS", 0.0)
+    monkeypatch.setattr(terminal, "PLAIN_SECONDS", 0.0)
     lines, fractions = [], []
     watch(
         update_stats=lambda engine, stats, info: lines.append(info),

@@ -14,7 +14,8 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from raybatch_addon.blender import frame, reports, sessions
+from raybatch_addon.blender import reports, sessions
+from raybatch_addon.blender.status import terminal
 from raybatch_addon.core import session as core_session
 from raybatch_addon.core.ahead import change, prepare
 from raybatch_addon.core.device.compiler import CompileStoppedError
@@ -226,7 +227,7 @@ def test_a_cancel_while_a_cancelled_render_is_waited_for(lit, monkeypatch, films
             bpy.ops.render.render()
         assert entered.is_set() and not finished.is_set()
         waited = threading.Event()
-        patch.setattr(frame, "PLAIN_SECONDS", 0.0)
+        patch.setattr(terminal, "PLAIN_SECONDS", 0.0)
         watch_engines(
             patch,
             test_break=lambda _engine: waited.is_set(),

@@ -7,6 +7,7 @@ import pytest
 from raybatch_addon.blender import frame, sessions
 from raybatch_addon.blender.denoise_library import why_not
 from raybatch_addon.blender.reports import last
+from raybatch_addon.blender.status import terminal
 from raybatch_addon.core.measure.parts import PARTS
 from tests.blender.features.compare import add_world
 from tests.support.blender_watch import watch_engines
@@ -129,7 +130,7 @@ def test_a_denoised_render_keeps_the_noisy_picture_and_leaves_the_film_alone(roo
 def test_a_cancel_ends_denoising_and_keeps_the_noisy_picture(room, monkeypatch):
     plain = rendered_film(room).passes["Combined"]
     room.raybatch.denoise, room.raybatch.error_estimate = "ON", "OFF"
-    monkeypatch.setattr(frame, "PLAIN_SECONDS", 0.0)  # each line is seen
+    monkeypatch.setattr(terminal, "PLAIN_SECONDS", 0.0)  # each line is seen
     lines = []
     watch_engines(
         monkeypatch,

@@ -1,16 +1,20 @@
 """Blender without a window: what its command line asks for, the lines that it prints, the code that it ends with."""
 
 import itertools
+import re
 import subprocess
 import sys
+import time
 from contextlib import contextmanager
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
 bpy = pytest.importorskip("bpy")
 
 from raybatch_addon.blender import exit_code, frame, reports
+from raybatch_addon.blender.status import status, terminal
 from raybatch_addon.core.errors import SettingsError
 from raybatch_addon.core.observers import Progress
 from raybatch_addon.export.asked import asked
@@ -110,33 +114,139 @@ def test_extensions_are_left_out_where_asked(animated, tmp_path):
     assert names(tmp_path) == ["0001", "0003", "0005"]
 
 
-def test_lines_of_progress_come_at_most_every_five_seconds(monkeypatch):
-    lines = []
-    clock = [100.0]
-    engine = type("Engine", (), {name: lambda *_, **__: None for name in ("update_progress", "update_memory_stats")})()
-    engine.update_stats = lambda _layer, text: lines.append((clock[0], text))
-    monkeypatch.setattr(frame.time, "perf_counter", lambda: clock[0])
-    status = frame._Status(engine, "ViewLayer")
-    samples = dict(samples_done=3, samples_total=16, rays_per_second=1e6, seconds_elapsed=1.0, seconds_left=None)
-    progress = Progress(stage="render", fraction=0.5, message="", memory_bytes=0, memory_peak=0, **samples)
-    status.show("Reading the scene")
+class Said:
+    """What is said of renders, by a clock of its own."""
+
+    def __init__(self, monkeypatch):
+        self.clock, self.lines, self.timers = 100.0, [], []
+        monkeypatch.setattr(terminal.time, "perf_counter", lambda: self.clock)
+        monkeypatch.setattr(terminal.threading, "Timer", self._timer)
+        self.plain_lines = terminal.PlainLines(self._note)
+        monkeypatch.setattr(status, "plain_lines", self.plain_lines)
+        monkeypatch.setattr(frame, "plain_lines", self.plain_lines)
+        names = ("update_progress", "update_memory_stats", "report")
+        self.engine = type("Engine", (), {name: lambda *_, **__: None for name in names})()
+        self.engine.update_stats = lambda _layer, text: self._note(text)
+
+    def _note(self, text):
+        self.lines.append((round(self.clock, 3), text))
+
+    def _timer(self, seconds, function):
+        timer = SimpleNamespace(at=self.clock + seconds, function=function, daemon=False, start=lambda: None)
+        timer.cancel = lambda: self.timers.remove(timer)
+        self.timers.append(timer)
+        return timer
+
+    def wait(self, seconds):
+        self.clock += seconds
+        for timer in [each for each in self.timers if each.at <= self.clock]:
+            timer.function()
+
+    def layer(self, frame_number):
+        return status.RenderStatus(self.engine, "ViewLayer", frame_number)
+
+    @property
+    def least_seconds(self):
+        times = [time for time, _ in self.lines]
+        return min(later - time for time, later in itertools.pairwise(times))
+
+
+@pytest.fixture
+def said(monkeypatch):
+    return Said(monkeypatch)
+
+
+FINISHED = SimpleNamespace(complete=True)
+SAMPLES = dict(samples_done=3, samples_total=16, rays_per_second=1e6, seconds_elapsed=1.0, seconds_left=None)
+PROGRESS = Progress(stage="render", fraction=0.5, message="", memory_bytes=0, memory_peak=0, **SAMPLES)
+
+
+def test_lines_of_progress_come_at_most_every_five_seconds(said):
+    layer = said.layer(1)
+    layer.show("Reading the scene")
     for _ in range(120):
-        clock[0] += 0.1
-        status.update(progress)
-        status.show("another stage")
-    times = [time for time, _ in lines]
-    assert len(lines) == 3 and min(later - time for time, later in itertools.pairwise(times)) >= 5
-    assert lines[1][1].startswith("Sample 3/16 | "), "as Cycles has it, for those who read it"
+        said.wait(0.1)
+        layer.update(PROGRESS)
+        layer.show("another stage")
+    assert len(said.lines) == 3 and said.least_seconds >= 5
+    assert said.lines[1][1].startswith("Sample 3/16 | "), "as Cycles has it, for those who read it"
+
+
+def test_short_frames_have_a_line_in_five_seconds_together_and_the_end_is_said(said):
+    for frame_number in range(1, 41):
+        layer = said.layer(frame_number)
+        layer.show("Reading the scene")
+        said.wait(0.2)
+        layer.update(PROGRESS)
+        said.wait(0.1)
+        layer.end(FINISHED, 16)
+    assert len(said.lines) == 3
+    said.wait(5)
+    assert len(said.lines) == 4 and said.least_seconds >= 5
+    assert said.lines[-1][1] == terminal.line_of_frame(40, "Sample 16/16 | Finished")
+    said.wait(10)
+    assert len(said.lines) == 4 and not said.timers
+
+
+def test_the_end_of_a_long_frame_is_said_at_once(said):
+    layer = said.layer(1)
+    layer.show("Reading the scene")
+    said.wait(7)
+    layer.end(FINISHED, 16)
+    assert said.lines[-1] == (107.0, "Sample 16/16 | Finished")
+
+
+def test_behind_an_error_no_end_is_said(said):
+    for frame_number in (1, 2):
+        layer = said.layer(frame_number)
+        layer.show("Reading the scene")
+        layer.end(FINISHED, 16)
+    frame._fail(said.engine, reports.RenderReport("Scene", 3), "no camera")
+    said.wait(60)
+    assert [text for _, text in said.lines] == ["Reading the scene"] and not said.timers
+
+
+ENDS = """
+import atexit, sys
+from raybatch_addon.blender import exit_code
+from raybatch_addon.blender.status.terminal import line_of_frame, plain_lines
+if "failed" in sys.argv:
+    exit_code.end_with(1)
+plain_lines.note()
+plain_lines.wait_with("frame 1")
+plain_lines.wait_with(line_of_frame(2, "Sample 16/16 | Finished"))
+print("said")
+"""
+
+
+@pytest.mark.parametrize("words", [[], ["failed"]])
+def test_the_end_is_said_where_blender_ends_before_it_is_due(words):
+    done = subprocess.run([sys.executable, "-c", ENDS, *words], capture_output=True, text=True, check=False)
+    assert done.stdout.splitlines()[-2:] == ["said", terminal.line_of_frame(2, "Sample 16/16 | Finished")], done.stderr
+    assert done.returncode == len(words)
+
+
+def test_an_animation_of_short_frames_prints_few_lines_and_its_end(animated, tmp_path):
+    animated.frame_step = 1
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"), copy=True)
+    code = (
+        "import bpy, raybatch_addon; raybatch_addon.register(); "
+        f"bpy.ops.wm.open_mainfile(filepath={str(tmp_path / 'a.blend')!r}); bpy.ops.render.render(animation=True)"
+    )
+    begun = time.perf_counter()
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    seconds = time.perf_counter() - begun
+    assert names(tmp_path)[:5] == [f"000{number}.png" for number in range(1, 6)], done.stderr
+    printed = [line for line in done.stdout.splitlines() if re.search(r"Reading the scene|Sample \d+/\d+", line)]
+    assert len(printed) <= 2 + seconds / terminal.PLAIN_SECONDS, printed
+    assert re.search(r"Fra: ?5 .*Sample 1/1 \| Finished", printed[-1]), printed
 
 
 def test_the_status_line_says_that_kernels_are_compiled_beside():
-    samples = dict(samples_done=3, samples_total=16, rays_per_second=1e6, seconds_elapsed=1.0, seconds_left=None)
-    progress = Progress(
-        stage="render", fraction=0.5, message="", memory_bytes=0, memory_peak=0, kernels="general", **samples
-    )
-    assert frame.status_text(progress).endswith(" | general kernels")
-    beside = replace(progress, compiles=True)
-    assert frame.status_text(beside).endswith(" | general kernels, compiling specialised ones")
+    tier = replace(PROGRESS, kernels="general")
+    assert status.status_text(tier).endswith(" | general kernels")
+    beside = replace(tier, compiles=True)
+    assert status.status_text(beside).endswith(" | general kernels, compiling specialised ones")
 
 
 @pytest.mark.parametrize(("codes", "left"), [([1], 1), ([3], 3), ([1, 3], 3), ([3, 1], 3)])

@@ -1,0 +1,1 @@
+"""What Blender says of a render while it goes on."""

@@ -1,0 +1,79 @@
+"""Lines of progress where there is no window: seldom, however many frames there are, and yet the end is said.
+
+The last line of a frame waits where it would come too soon behind another. Where a frame follows, that one's lines come
+in its place; where none does, it is printed when it is due, or when Blender ends.
+"""
+
+from __future__ import annotations
+
+import atexit
+import threading
+import time
+from collections.abc import Callable
+
+import bpy
+
+# From one line to the next, of whatever frame [s]
+PLAIN_SECONDS = 5.0
+
+
+class PlainLines:
+    """When lines may be printed."""
+
+    def __init__(self, write: Callable[[str], object] = lambda text: print(text, flush=True)) -> None:
+        """`write` prints a line that had to wait; on any thread."""
+        self._write_late = write
+        self._said_at = float("-inf")
+        self._waiting: str | None = None
+        self._timer: threading.Timer | None = None
+        self._lock = threading.Lock()
+
+    @property
+    def is_due(self) -> bool:
+        """Whether a line may be printed now."""
+        return time.perf_counter() - self._said_at >= PLAIN_SECONDS
+
+    def note(self) -> None:
+        """One is printed now."""
+        self._said_at = time.perf_counter()
+
+    def begin(self) -> None:
+        """Something else is under way, or was said: the line that waits is out of date."""
+        with self._lock:
+            self._take()
+
+    def wait_with(self, text: str) -> None:
+        """Print `text` when it is due, unless something else begins before."""
+        with self._lock:
+            self._take()
+            self._waiting = text
+            seconds = max(0.0, self._said_at + PLAIN_SECONDS - time.perf_counter())
+            self._timer = threading.Timer(seconds, self.flush)
+            self._timer.daemon = True
+            self._timer.start()
+            # behind those that are there: Blender may be ended by one of them, and the last is called first
+            atexit.register(self.flush)
+
+    def flush(self) -> None:
+        """Print the line that waits, now."""
+        with self._lock:
+            text = self._take()
+            if text is not None:
+                self.note()
+                self._write_late(text)
+
+    def _take(self) -> str | None:
+        text, self._waiting = self._waiting, None
+        if self._timer:
+            self._timer.cancel()
+            self._timer = None
+            atexit.unregister(self.flush)
+        return text
+
+
+def line_of_frame(frame: int, text: str) -> str:
+    """`text` as Blender prints what an engine says of a frame."""
+    return f"Fra: {frame} | {text}" if bpy.app.version >= (5, 0) else f"Fra:{frame} | {text}"
+
+
+plain_lines = PlainLines()  # of this Blender
