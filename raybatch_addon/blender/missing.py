@@ -69,5 +69,6 @@ def refuse_what_lacks(scene: bpy.types.Scene, notices: Sequence[Notice]) -> None
 def print_notices(notices: Sequence[Notice], start: str = "RayBatch: warning") -> None:
     """Write `notices` to standard error, each in a line, with what to do."""
     for notice in notices:
-        remedy = f" ({notice.remedy})" if notice.remedy else ""
+        to_do = notice.to_do("-- --raybatch-")
+        remedy = f" ({to_do})" if to_do else ""
         print(f"{start}: {notice}{remedy}", file=sys.stderr)

@@ -41,15 +41,14 @@ def names_of(runs: Sequence[Run]) -> dict[int, str]:
 
 def _setting_texts(run: Run) -> dict[str, str]:
     return {
-        name: f"{SETTINGS[name].label if name in SETTINGS else name} {_value_text(value)}"
+        name: f"{SETTINGS[name].label if name in SETTINGS else name} {_value_text(name, value)}"
         for name, value in run.settings.items()
     }
 
 
-def _value_text(value: Any) -> str:
-    if isinstance(value, float):
-        return f"{value:g}"
-    return value.capitalize() if isinstance(value, str) and value.isupper() else str(value)
+def _value_text(name: str, value: Any) -> str:
+    """The value of a setting as the panel names it."""
+    return SETTINGS[name].name_of(value) if name in SETTINGS else str(value)
 
 
 def error_line(statistics: dict[str, Any]) -> str:

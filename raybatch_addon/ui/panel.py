@@ -16,6 +16,8 @@ ICON_WIDTH = 20
 # What a panel, and a box in it, keep free beside their text
 _PANEL_MARGIN, _BOX_MARGIN = 48, 18
 _LEAST_WIDTH = 60
+# What a panel keeps free beside a name and its value, and the value's share of the rest
+_SPLIT_MARGIN, VALUE_SHARE = 74, 0.6
 
 
 class EnginePanel:
@@ -94,6 +96,12 @@ def free_width(context, in_box: bool = False) -> float:
     """What is left for text in a panel, at scale 1 [pixels]."""
     width = context.region.width / context.preferences.system.ui_scale - _PANEL_MARGIN
     return max(_LEAST_WIDTH, width - (_BOX_MARGIN if in_box else 0))
+
+
+def value_width(context) -> float:
+    """What a value has beside its name in a panel, at scale 1 [pixels]."""
+    width = context.region.width / context.preferences.system.ui_scale - _SPLIT_MARGIN
+    return max(_LEAST_WIDTH, VALUE_SHARE * width)
 
 
 def draw_lines(layout, context, texts: list[str], icon: str = "NONE", in_box: bool = False) -> None:

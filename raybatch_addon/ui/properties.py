@@ -61,7 +61,7 @@ def _property(info: SettingInfo):
 
 def _description(info: SettingInfo) -> str:
     unit = f" [{info.unit}]" if info.unit else ""
-    return f"{info.description}{unit}"
+    return f"{info.panel_description}{unit}"
 
 
 def megabytes_name(info: SettingInfo) -> str:
@@ -93,12 +93,12 @@ def _switch(info: SettingInfo):
             is_set = checked == (info.auto is None)
             assign_setting(properties, info.name, _first_value(info, properties.id_data) if is_set else rests)
 
-    name, about = info.label, info.description
+    name, about = info.label, info.panel_description
     if info.is_switch:
         meaning = next(description for identifier, _, description in info.choices if identifier == "ON")
         about = f"{about}.\nOn: {meaning}"
     elif info.auto is not None:
-        name, about = "Auto", f"RayBatch chooses. {info.description}"
+        name, about = "Auto", f"RayBatch chooses. {info.panel_description}"
     return bpy.props.BoolProperty(name=name, description=about, options=set(), get=get, set=put)
 
 
@@ -128,7 +128,7 @@ def _megabytes(info: SettingInfo):
 
     return bpy.props.FloatProperty(
         name=info.label,
-        description=f"{info.description} [MB, of 1,000,000 bytes]",
+        description=f"{info.panel_description} [MB, of 1,000,000 bytes]",
         min=minimum / 1e6,
         max=maximum / 1e6,
         precision=3,

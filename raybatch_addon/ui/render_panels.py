@@ -9,7 +9,7 @@ from ..core.errors import SettingsError
 from ..core.settings.info import GroupInfo
 from ..core.settings.settings import BYTES, GROUPS, SETTINGS, SettingInfo, parse_setting
 from ..export.settings import settings_from
-from .choices import auto_text, draw_choice
+from .choices import auto_text, draw_choice, draw_dropdown
 from .devices import draw_devices
 from .heard import is_heard
 from .memory import estimate_lines
@@ -78,10 +78,11 @@ def _draw_setting(column, context, info: SettingInfo) -> None:
         draw_devices(column, context)
         return
     switch = "" if info.is_switch else switch_name(info)
+    if not switch and info.auto is not None:
+        draw_dropdown(column, context, info)
+        return
     if not switch:
-        row = column.row(align=True)
-        row.prop(own, shown_name(info))
-        draw_choice(row, context, info)
+        column.prop(own, shown_name(info))
         return
     is_set = getattr(own, switch) == (info.auto is None)
     unit = " (MB)" if info.unit == BYTES and is_set else ""

@@ -16,6 +16,7 @@ from typing import IO, TYPE_CHECKING, Any, NoReturn
 
 from raybatch_addon.core.errors import RayBatchError
 from raybatch_addon.core.files import whole_file
+from raybatch_addon.core.scene.notice import as_notice
 
 if TYPE_CHECKING:
     from raybatch_addon.core.film import Film
@@ -217,7 +218,7 @@ def print_warnings(warnings: Iterable[str], script: str = "render.py") -> None:
     """Write what a render of `script` did without, or did otherwise, to standard error."""
     warnings = list(warnings)
     for text in warnings[:WARNINGS_SHOWN]:
-        remedy = getattr(text, "remedy", "")
+        remedy = as_notice(text).to_do()
         print(f"{script}: warning: {text}{f' ({remedy})' if remedy else ''}", file=sys.stderr)
     if len(warnings) > WARNINGS_SHOWN:
         print(f"{script}: warning: {len(warnings) - WARNINGS_SHOWN} more; --json lists them", file=sys.stderr)

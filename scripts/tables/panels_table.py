@@ -112,7 +112,7 @@ def _values(info: SettingInfo) -> str:
 
 def _setting(info: SettingInfo) -> list[str]:
     """A setting as an item of a list, with its choices below it."""
-    about = f"**{info.label}**: {info.description}."
+    about = f"**{info.label}**: {info.panel_description}."
     if info.is_switch:
         meaning = next(each[2] for each in info.choices if each[0] == "ON")
         return list_item(f"{about} On: {meaning}. At first {info.default.lower()}.")

@@ -91,6 +91,10 @@ def test_runs_are_distinguished_by_what_differs():
         2: "#2, Seed 1",
     }
     assert names_of(runs[:1]) == {3: "#3"} and names_of([]) == {}
+    sequences = [ESTIMATED.replace(sample_sequence=each, geometry_store="HOST") for each in ("BLUE_NOISE", "SOBOL")]
+    assert names_of(store_of(*sequences).runs()) == {1: "#1, Sequence Blue Noise", 2: "#2, Sequence Sobol"}, (
+        "values have the names of the panel"
+    )
 
 
 def test_slots_are_taken_from_the_oldest_that_is_not_kept():

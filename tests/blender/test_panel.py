@@ -34,14 +34,14 @@ def test_every_setting_is_a_property_made_from_its_definition(scene, name):
     info = SETTINGS[name]
     prop = scene.raybatch.bl_rna.properties[name]
     assert prop.name == info.label
-    assert info.description in prop.description and info.unit in prop.description
+    assert info.panel_description in prop.description and info.unit in prop.description
     if info.choices:
         assert [(item.identifier, item.name) for item in prop.enum_items] == [choice[:2] for choice in info.choices]
         assert prop.default == info.default
     elif info.unit == BYTES:
         assert prop.default == str(info.default)
         shown = scene.raybatch.bl_rna.properties[megabytes_name(info)]
-        assert shown.name == info.label and info.description in shown.description
+        assert shown.name == info.label and info.panel_description in shown.description
         assert (shown.hard_min, shown.hard_max) == tuple(np.float32([info.minimum / 1e6, info.maximum / 1e6]))
     elif info.kind is int:
         assert (prop.default, prop.hard_min, prop.hard_max) == (info.default, info.minimum, info.maximum)

@@ -196,7 +196,7 @@ def test_the_last_render_shows_batching():
 
 
 def test_values_in_words():
-    assert choices.value_text(SETTINGS["treelet_bytes"], 65_536) == "0.0655 MB"
+    assert choices.value_text(SETTINGS["treelet_bytes"], 65_536) == "65.5 kB"
     assert (
         choices.value_text(SETTINGS["ray_sort"], "ON") == "On"
         and choices.value_text(SETTINGS["ray_count"], 4194304) == "4,194,304"

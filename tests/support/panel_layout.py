@@ -4,6 +4,8 @@ import types
 
 import bpy
 
+from raybatch_addon.ui.panel import label_width
+
 ENGINE = "RAYBATCH"
 
 
@@ -100,3 +102,70 @@ def context_of(scene, **extra):
     preferences = types.SimpleNamespace(system=types.SimpleNamespace(ui_scale=1.0))  # it is 0 without a window
     own = dict(scene=scene, view_layer=scene.view_layers[0], engine=ENGINE, region=area, object=None, light=None)
     return types.SimpleNamespace(**{**own, "preferences": preferences, **extra})
+
+
+# Seen in Blender's window, where the Properties editor has its first width [pixels]
+FIRST_WIDTH = 282
+_VALUE_SHARE, _PANEL_MARGIN = 0.6, 74  # a panel beside names and values; of what is left the values' share
+_ICON, _CHECKBOX, _ARROW, _BUTTON = 20, 23, 23, 8  # what is not text of a button
+
+
+class Measured(Layout):
+    """A layout that notes as `cut` what does not fit its place, as Blender gives places to names and values."""
+
+    def __init__(self, width=FIRST_WIDTH - _PANEL_MARGIN, cut=None, notes=None, is_split=True):
+        super().__init__(notes)
+        self.width, self.cut, self.use_property_split = width, [] if cut is None else cut, is_split
+        self._shares = []
+
+    def _part(self, width=None, is_split=None):
+        is_split = self.use_property_split if is_split is None else is_split
+        return Measured(self._place() if width is None else width, self.cut, self.notes, is_split)
+
+    def _place(self):
+        return self.width * self._shares.pop(0) if self._shares else self.width
+
+    def row(self, **_options):
+        return self._part()
+
+    box = row
+
+    def column(self, heading="", **_options):
+        if not heading:
+            return self._part()
+        self._check(heading, (1 - _VALUE_SHARE) * self.width)
+        return self._part(_VALUE_SHARE * self.width, is_split=False)
+
+    def split(self, factor=0.5, **_options):
+        part = self._part()
+        part._shares = [factor, 1 - factor]
+        return part
+
+    def _check(self, text, room):
+        if label_width(text) > room:
+            self.cut.append(f"{text}: {label_width(text):.0f} pixels, where there are {room:.0f}")
+
+    def label(self, text="", icon="NONE", icon_value=0):
+        super().label(text, icon, icon_value)
+        self._check(text, self._place())
+
+    def operator(self, name, text="", emboss=True, icon="NONE", depress=False):
+        room = self._place() - (_ICON if icon != "NONE" else _BUTTON)
+        self._check(text, room)
+        return super().operator(name, text, emboss, icon, depress)
+
+    def prop(self, owner, name, text=None, **options):
+        super().prop(owner, name, **options)
+        found, room = owner.bl_rna.properties[name], self._place()
+        shown = found.name if text is None else text
+        if self.use_property_split:
+            if found.type != "BOOLEAN":
+                self._check(shown, (1 - _VALUE_SHARE) * room)
+            room *= _VALUE_SHARE
+        if found.type == "BOOLEAN":  # with room for a pin beside what was chosen
+            self._check(shown, room - _CHECKBOX - (_ICON if text else 0))
+        elif found.type == "ENUM":
+            value = getattr(owner, name)
+            self._check(
+                next((item.name for item in found.enum_items if item.identifier == value), value), room - _ARROW
+            )

@@ -22,12 +22,13 @@ class Weight(IntEnum):
 class Notice(str):
     """A message, and what it is about; the text stands for itself wherever messages are printed."""
 
-    __slots__ = ("material", "nodes", "objects", "remedy", "weight")
+    __slots__ = ("material", "nodes", "objects", "option", "remedy", "weight")
     weight: Weight
     objects: tuple[str, ...]
     material: str
     nodes: tuple[str, ...]
     remedy: str
+    option: str
 
     def __new__(
         cls,
@@ -38,19 +39,28 @@ class Notice(str):
         material: str = "",
         nodes: Iterable[str] = (),
         remedy: str = "",
+        option: str = "",
     ) -> Notice:
-        """`objects`, `material` and `nodes` are names in the file, `remedy` says what a user can do."""
+        """`objects`, `material` and `nodes` are names in the file, `remedy` is what a user can do, and `option` does it
+        on a command line; it is without what options begin with there.
+        """
         notice = super().__new__(cls, text)
         notice.weight, notice.objects, notice.material = weight, tuple(objects), material
-        notice.nodes, notice.remedy = tuple(nodes), remedy
+        notice.nodes, notice.remedy, notice.option = tuple(nodes), remedy, option
         return notice
 
+    def to_do(self, options_begin: str = "--") -> str:
+        """What a user can do, for those who see it on a command line."""
+        ways = [self.remedy, f"{options_begin}{self.option}" if self.option else ""]
+        return ", or ".join(filter(None, ways))
+
     def __reduce__(self):
-        return _again, (str(self), self.weight, self.objects, self.material, self.nodes, self.remedy)
+        return _again, (str(self), self.weight, self.objects, self.material, self.nodes, self.remedy, self.option)
 
 
-def _again(text: str, weight: Weight, objects, material: str, nodes, remedy: str) -> Notice:
-    return Notice(text, weight, objects=objects, material=material, nodes=nodes, remedy=remedy)
+def _again(text: str, weight: Weight, *about: Any) -> Notice:
+    names = ("objects", "material", "nodes", "remedy", "option")
+    return Notice(text, weight, **dict(zip(names, about, strict=True)))
 
 
 def as_notice(message: str) -> Notice:
@@ -62,7 +72,7 @@ def about(message: str, name: str, objects: Iterable[str] = ()) -> Notice:
     """`message` with what it is about, the thing called `name`, before it."""
     notice = as_notice(message)
     text = f"{name}: {notice}"
-    return Notice(text, notice.weight, objects=objects, nodes=notice.nodes, remedy=notice.remedy)
+    return Notice(text, notice.weight, objects=objects, nodes=notice.nodes, remedy=notice.remedy, option=notice.option)
 
 
 def quoted(names: Iterable[str]) -> str:
@@ -85,13 +95,14 @@ def as_record(notice: Notice) -> dict[str, Any]:
         "material": notice.material,
         "nodes": list(notice.nodes),
         "remedy": notice.remedy,
+        "option": notice.option,
     }
     return {name: value for name, value in every.items() if value}
 
 
 def from_record(text: str, record: dict[str, Any]) -> Notice:
     """The inverse of `as_record`: the notice with that `text`."""
-    rest = {name: record[name] for name in ("objects", "material", "nodes", "remedy") if name in record}
+    rest = {name: record[name] for name in ("objects", "material", "nodes", "remedy", "option") if name in record}
     return Notice(text, Weight[record["weight"]], **rest)
 
 

@@ -26,7 +26,7 @@ class DeviceSettings:
     thread_count: int = setting(
         0,
         "Threads",
-        "Worker threads on the CPU; 0 uses every core. Not used on CUDA devices",
+        "Worker threads on the CPU; {rest} uses every core. Not used on CUDA devices",
         group="DEVICE",
         effect="schedule",
         unit="threads",
@@ -63,8 +63,8 @@ class LaunchSettings:
     warp_count: int = setting(
         0,
         "Warps",
-        "Warps that are launched, of 32 lanes each; 0 launches all that the device holds. On the CPU: slices of a list "
-        "of rays, traced one after another",
+        "Warps that are launched, of 32 lanes each; {rest} launches all that the device holds. On the CPU: slices of "
+        "a list of rays, traced one after another",
         group="LAUNCH",
         effect="schedule",
         unit="warps",
@@ -84,7 +84,7 @@ class LaunchSettings:
     register_cap: int = setting(
         0,
         "Max Registers",
-        "Most registers of a thread (CUDA's maxrregcount); 0 lets the compiler choose. Not used on the CPU",
+        "Most registers of a thread (CUDA's maxrregcount); {rest} lets the compiler choose. Not used on the CPU",
         group="LAUNCH",
         effect="schedule",
         unit="registers",
@@ -97,7 +97,7 @@ class LaunchSettings:
     block_size: int = setting(
         0,
         "Block Width",
-        "Threads of a block; 0 chooses. Not used on the CPU",
+        "Threads of a block; {rest} chooses. Not used on the CPU",
         group="LAUNCH",
         effect="schedule",
         unit="threads",
@@ -116,8 +116,8 @@ class MemorySettings:
     geometry_budget: int = setting(
         0,
         "Geometry",
-        "Memory that trees and triangles may take on the device; the rest waits behind it. 0: all of it where it fits, "
-        "else what rays leave free",
+        "Memory that trees and triangles may take on the device; the rest waits behind it. {rest}: all of it where it "
+        "fits, else what rays leave free",
         group="MEMORY",
         effect="schedule",
         unit=BYTES,
@@ -128,14 +128,14 @@ class MemorySettings:
     )
     geometry_store: str = setting(
         "AUTO",
-        "Keep Rest In",
-        "Where geometry is kept that is not on the device",
+        "Overflow To",
+        "Where geometry is kept that has no room on the device",
         group="MEMORY",
         effect="schedule",
         auto="AUTO",
         choices=(
             ("AUTO", "Auto", "Host memory of a CUDA device where that is large enough, else disk"),
-            ("HOST", "Host Memory", "The host's memory, page-locked for a CUDA device"),
+            ("HOST", "Host RAM", "The host's memory, page-locked for a CUDA device"),
             ("DISK", "Disk", "A file beside the cache of compiled kernels, written once and used again"),
         ),
     )

@@ -51,7 +51,7 @@ class EstimatorSettings:
     adaptive_samples_min: int = setting(
         0,
         "Min Samples",
-        "Samples that every pixel gets before the first look at its noise; 0 chooses by Max Noise",
+        "Samples that every pixel gets before the first look at its noise; {rest} chooses by Max Noise",
         group="SAMPLING",
         unit="samples per pixel",
         minimum=0,
@@ -63,7 +63,7 @@ class EstimatorSettings:
         0.0,
         "Time Limit",
         "A render ends when no more samples of every pixel are expected to fit in this time, counted without build and "
-        "compilation; 0 sets no limit. One sample is always rendered",
+        "compilation; {rest} sets no limit. One sample is always rendered",
         group="SAMPLING",
         unit="s",
         minimum=0.0,
@@ -90,7 +90,7 @@ class EstimatorSettings:
         0.0,
         "Stop at Error",
         "A render ends when its estimated error is at most this: the mean over pixels and channels of the "
-        "squared error over the squared value (relMSE). It implies Error Estimate; 0 renders all samples",
+        "squared error over the squared value (relMSE). It implies Error Estimate; {rest} renders all samples",
         group="ERROR",
         unit="relMSE",
         minimum=0.0,
@@ -139,8 +139,9 @@ class EstimatorSettings:
     )
     mis: str = setting(
         "ON",
-        "Combine Sampling",
-        "What light sampling and BSDF sampling can both find is weighted by how likely each finds it",
+        "Use MIS",
+        "Multiple importance sampling: what light sampling and BSDF sampling can both find is weighted by how likely "
+        "each finds it",
         group="ADVANCED",
         choices=(
             (
@@ -169,7 +170,7 @@ class EstimatorSettings:
     diffuse_bounce_max: int = setting(
         KIND_BOUNCES_MOST,
         "Diffuse",
-        "Most bounces of a path that are diffuse reflections; 1024 sets no limit but All Bounces",
+        "Most bounces of a path that are diffuse reflections; {rest} sets no limit but All Bounces",
         group="BOUNCES",
         unit="bounces",
         minimum=0,
@@ -180,7 +181,7 @@ class EstimatorSettings:
     glossy_bounce_max: int = setting(
         KIND_BOUNCES_MOST,
         "Glossy",
-        "Most bounces of a path that are reflections by facets, sharp or not; 1024 sets no limit but All Bounces",
+        "Most bounces of a path that are reflections by facets, sharp or not; {rest} sets no limit but All Bounces",
         group="BOUNCES",
         unit="bounces",
         minimum=0,
@@ -192,7 +193,7 @@ class EstimatorSettings:
         KIND_BOUNCES_MOST,
         "Transmission",
         "Most bounces of a path that are refractions, or pass light to the other side in another way; "
-        "1024 sets no limit but All Bounces",
+        "{rest} sets no limit but All Bounces",
         group="BOUNCES",
         unit="bounces",
         minimum=0,
@@ -239,7 +240,8 @@ class EstimatorSettings:
     clamp_direct: float = setting(
         0.0,
         "Direct Light",
-        "Largest radiance of one light seen directly or at the first bounce; 0 does not clamp. Clamping loses light",
+        "Largest radiance of one light seen directly or at the first bounce; {rest} does not clamp. Clamping loses "
+        "light",
         group="CLAMPING",
         unit="W/(m² sr)",
         minimum=0.0,
@@ -250,7 +252,7 @@ class EstimatorSettings:
     clamp_indirect: float = setting(
         0.0,
         "Indirect Light",
-        "Largest radiance of one light found after the first bounce; 0 does not clamp. Clamping loses light",
+        "Largest radiance of one light found after the first bounce; {rest} does not clamp. Clamping loses light",
         group="CLAMPING",
         unit="W/(m² sr)",
         minimum=0.0,

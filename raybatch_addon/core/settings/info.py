@@ -74,7 +74,8 @@ class SettingInfo:
 
     name: str
     label: str
-    description: str
+    description: str  # of the number with `auto` or `off`, where that is spoken of
+    panel_description: str  # the same for those who see a checkbox instead of that number
     group: str  # of `GROUPS`
     effect: str  # "estimator" (changes the film) or "schedule" (changes time only)
     default: Any
@@ -121,6 +122,12 @@ class SettingInfo:
         """Whether it is on or off, and nothing else."""
         return sorted(identifier for identifier, _, _ in self.choices) == ["OFF", "ON"]
 
+    def name_of(self, value: Any) -> str:
+        """`value` as the panel names it, where it is one of the choices; else as text."""
+        if isinstance(value, float):
+            return f"{value:g}"
+        return next((label for identifier, label, _ in self.choices if identifier == value), str(value))
+
     def is_auto(self, value: Any) -> bool:
         """Whether `value` lets RayBatch choose."""
         return self.auto is not None and value == self.auto
@@ -143,7 +150,9 @@ def setting(
     off: Any = None,
     start: Any = None,
 ) -> Any:
-    """A field of a dataclass of settings; for the arguments see `SettingInfo`."""
+    """A field of a dataclass of settings; for the arguments see `SettingInfo`. `{rest}` in a description is the value
+    `auto` or `off`.
+    """
     metadata = dict(
         label=label,
         description=description,
@@ -167,10 +176,14 @@ _TYPES = {"int": int, "float": float, "str": str}
 
 def infos_of(settings: type) -> dict[str, SettingInfo]:
     """By name, of a dataclass whose fields are made by `setting`."""
-    return {
-        field.name: SettingInfo(name=field.name, default=field.default, kind=_TYPES[str(field.type)], **field.metadata)
-        for field in dataclasses.fields(settings)
-    }
+    found = {}
+    for field in dataclasses.fields(settings):
+        about = dict(field.metadata)
+        text, auto, off = about["description"], about["auto"], about["off"]
+        about["description"] = text.replace("{rest}", f"{off if auto is None else auto}".removesuffix(".0"))
+        about["panel_description"] = text.replace("{rest}", "off" if auto is None else "Auto")
+        found[field.name] = SettingInfo(name=field.name, default=field.default, kind=_TYPES[str(field.type)], **about)
+    return found
 
 
 def checked(info: SettingInfo, value: Any) -> Any:

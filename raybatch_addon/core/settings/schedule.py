@@ -63,7 +63,7 @@ class TracingSettings:
     tile_size: int = setting(
         0,
         "Tile Size",
-        "Edge of the square tiles in which the frame is rendered and shown; 0 chooses by device",
+        "Edge of the square tiles in which the frame is rendered and shown; {rest} chooses by device",
         group="PERFORMANCE",
         effect="schedule",
         unit="pixels",
@@ -81,9 +81,9 @@ class TracingSettings:
         effect="schedule",
         auto="AUTO",
         choices=(
-            ("AUTO", "Automatic", "Progressive where a window shows it"),
+            ("AUTO", "Auto", "Progressive where a window shows it"),
             ("PROGRESSIVE", "Progressive", "A sample of each tile, then some seconds of work on each in turn"),
-            ("TILE_FIRST", "Tile first", "All samples of a tile, then the next tile"),
+            ("TILE_FIRST", "Tile First", "All samples of a tile, then the next tile"),
         ),
     )
     spatial_splits: str = setting(
@@ -126,8 +126,8 @@ class SchedulerSettings:
     ray_count: int = setting(
         0,
         "Rays Alive",
-        "Paths alive at once in all workers together; 0 chooses by device and scene. The panel's memory estimate says "
-        "what each takes",
+        "Paths alive at once in all workers together; {rest} chooses by device and scene. The panel's memory estimate "
+        "says what each takes",
         group="SCHEDULER",
         effect="schedule",
         unit="paths",
@@ -138,7 +138,7 @@ class SchedulerSettings:
     )
     ray_low_water: float = setting(
         0.75,
-        "Refill Below",
+        "Min Alive",
         "New paths are generated when fewer than this share of Rays Alive is left",
         group="SCHEDULER",
         effect="schedule",
@@ -148,7 +148,7 @@ class SchedulerSettings:
     )
     ray_high_water: float = setting(
         1.0,
-        "Refill To",
+        "Max Alive",
         "Share of Rays Alive up to which new paths are generated",
         group="SCHEDULER",
         effect="schedule",
@@ -185,8 +185,8 @@ class SchedulerSettings:
     bucket_wait_max: int = setting(
         0,
         "Longest Wait",
-        "Steps of the scheduler after which a bucket is served before all fuller ones; 0 lets rays wait as long as it "
-        "takes",
+        "Steps of the scheduler after which a bucket is served before all fuller ones; {rest} lets rays wait as long "
+        "as it takes",
         group="SCHEDULER",
         effect="schedule",
         unit="steps",
@@ -215,7 +215,7 @@ class QueueSettings:
     queue_size: int = setting(
         0,
         "Block Size",
-        "Rays that a block of a queue holds; 0 chooses by device and treelets",
+        "Rays that a block of a queue holds; {rest} chooses by device and treelets",
         group="QUEUES",
         effect="schedule",
         unit="rays",
@@ -227,8 +227,8 @@ class QueueSettings:
     queue_count: int = setting(
         0,
         "Blocks",
-        "Blocks that all queues of a worker share; 0 chooses enough for Rays Alive. Where they run out, the fullest "
-        "bucket is served first",
+        "Blocks that all queues of a worker share; {rest} chooses enough for Rays Alive. Where they run out, the "
+        "fullest bucket is served first",
         group="QUEUES",
         effect="schedule",
         unit="blocks",
@@ -272,7 +272,7 @@ class TreeletSettings:
     treelet_size: int = setting(
         0,
         "Max Nodes",
-        "Most nodes of a treelet; 0 chooses by device. Min Nodes comes first: where it keeps a node closed, a "
+        "Most nodes of a treelet; {rest} chooses by device. Min Nodes comes first: where it keeps a node closed, a "
         "treelet is larger. As many as the tree has make it one treelet, as a control",
         group="TREELETS",
         effect="schedule",
@@ -295,8 +295,8 @@ class TreeletSettings:
     treelet_bytes: int = setting(
         0,
         "Max Size",
-        "Most memory of a treelet's nodes and triangles, such as a cache's size; 0 chooses by device, or sets no limit "
-        "where Max Nodes is given",
+        "Most memory of a treelet's nodes and triangles, such as a cache's size; {rest} chooses by device, or sets no "
+        "limit where Max Nodes is given",
         group="TREELETS",
         effect="schedule",
         unit=BYTES,

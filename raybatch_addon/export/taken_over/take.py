@@ -8,7 +8,7 @@ from typing import Any
 import bpy
 
 from ...core.scene.notice import Notice, Weight
-from ...core.settings.settings import SETTINGS
+from ...core.settings.settings import SETTINGS, SettingInfo
 from ..settings import assign_setting, engine_settings, exposure_of, settings_from
 from .rows import CYCLES, EEVEE, ROWS
 
@@ -47,7 +47,7 @@ class Difference:
         info = SETTINGS.get(self.setting)
         label = _OF_FILE[self.setting] if info is None else info.title
         theirs, ours = (
-            "no limit" if info is not None and info.off is not None and value == info.off else _shown(value)
+            "no limit" if info is not None and info.off is not None and value == info.off else _shown(info, value)
             for value in (self.theirs, self.ours)
         )
         return label, theirs, ours
@@ -102,10 +102,13 @@ def passed_over_settings(scene: bpy.types.Scene) -> list[Notice]:
     if not found:
         return []
     reported = "; ".join(each.text(CYCLES) for each in found)
-    remedy = "take them over: Settings From in the panel Before the Render, or render.py --settings-from cycles"
+    remedy = "take them over: Before the Render > Settings of Other Engines > Settings From Cycles"
     weight = Weight.REPLACED if any(each.setting == EXPOSURE for each in found) else Weight.SETTING
-    return [Notice(f"scene “{scene.name}”: settings of Cycles are not used. {reported}", weight, remedy=remedy)]
+    text = f"scene “{scene.name}”: settings of Cycles are not used. {reported}"
+    return [Notice(text, weight, remedy=remedy, option="settings-from cycles")]
 
 
-def _shown(value: Any) -> str:
+def _shown(info: SettingInfo | None, value: Any) -> str:
+    if info is not None:
+        return info.name_of(value)
     return f"{value:g}" if isinstance(value, float) else str(value)

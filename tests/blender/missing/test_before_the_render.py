@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -22,6 +23,7 @@ from raybatch_addon.export.passed_over.look import with_light_looked_for
 from raybatch_addon.export.scene import export_scene
 from tests.support import scenes
 from tests.support.blender_builders import add_grid
+from tests.support.panel_layout import context_of, drawn, own_panels
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -69,7 +71,8 @@ def unknown_node(name):
 
 
 def test_notices_are_texts_that_keep_what_they_are_about(tmp_path, scene):
-    notice = Notice("a thing", Weight.MISSING, objects=["A"], material="M", nodes=["N"], remedy="mend it")
+    about = dict(objects=["A"], material="M", nodes=["N"], remedy="mend it", option="settings-from cycles")
+    notice = Notice("a thing", Weight.MISSING, **about)
     assert notice == "a thing" and f"{notice}" == "a thing"
     assert described(notice) == {
         "what": "a thing",
@@ -78,13 +81,28 @@ def test_notices_are_texts_that_keep_what_they_are_about(tmp_path, scene):
         "material": "M",
         "nodes": ["N"],
         "remedy": "mend it",
+        "option": "settings-from cycles",
     }
+    assert described(pickle.loads(pickle.dumps(notice))) == described(notice)
+    assert notice.to_do() == "mend it, or --settings-from cycles" and Notice("plain").to_do() == ""
     assert [each.weight for each in by_weight(["plain", notice])] == [Weight.MISSING, Weight.REPLACED]
     scene.cycles.use_guiding = True
     exported = export_scene(bpy.context.evaluated_depsgraph_get())
     save_scene(tmp_path / "a.scene.npz", exported, RenderSettings())
     kept = load_scene(tmp_path / "a.scene.npz")[0].warnings
     assert [described(each) for each in kept] == [described(each) for each in exported.warnings] and kept
+
+
+def test_nothing_to_do_in_a_panel_is_on_a_command_line(scene, capsys):
+    scene.cycles.max_bounces = 3
+    notice = the_one(scene, "settings of Cycles are not used")
+    assert notice.remedy.endswith("Before the Render > Settings of Other Engines > Settings From Cycles")
+    bpy.ops.raybatch.check_scene()
+    panels = [panel for panel in own_panels() if panel.__name__ == "RAYBATCH_RENDER_PT_before_render"]
+    texts = " ".join(note[1] for note in drawn(panels[0], context_of(scene)) if note[0] == "label")
+    assert "To do: take them over" in texts and "--" not in texts and ".py" not in texts
+    missing.print_notices([notice])
+    assert capsys.readouterr().err.rstrip().endswith("Settings From Cycles, or -- --raybatch-settings-from cycles)")
 
 
 def test_what_is_missing_is_said_before_the_render(scene, monkeypatch):

@@ -121,6 +121,8 @@ def test_the_output_of_the_engine_counts(scene, engine, color):
 def test_numbers_that_set_no_limit_are_reported_as_no_limit():
     text = Difference("glossy_bounce_max", 4, SETTINGS["glossy_bounce_max"].off).text("CYCLES")
     assert text == "Max Bounces, Glossy: 4 in Cycles, no limit here"
+    text = Difference("pixel_filter", "BLACKMAN_HARRIS", "BOX").text("CYCLES")
+    assert text == "Pixel Filter: Blackman-Harris in Cycles, Box here"
     assert Difference("time_limit", 0.0, 5.0).text("CYCLES") == "Time Limit: no limit in Cycles, 5 here"
     assert Difference("exposure", 2.0, 1.0).text("CYCLES") == "Exposure: 2 in Cycles, 1 here"
 

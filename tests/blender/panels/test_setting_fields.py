@@ -1,20 +1,23 @@
 """How single settings are shown: checkboxes, what is automatic, devices, and names that are not cut off."""
 
+import re
+from types import SimpleNamespace
+
 import pytest
 
 bpy = pytest.importorskip("bpy")
 
 from raybatch_addon.blender import devices, reports
-from raybatch_addon.core.settings.settings import GROUPS, SETTINGS
-from raybatch_addon.export.settings import settings_from
+from raybatch_addon.core.settings.settings import BYTES, GROUPS, SETTINGS
+from raybatch_addon.export.settings import assign_setting, settings_from
+from raybatch_addon.ui import render_panels
+from raybatch_addon.ui.choices import value_text
 from raybatch_addon.ui.devices import choices_for
 from raybatch_addon.ui.heard import is_heard
 from raybatch_addon.ui.panel import fitting_lines, free_width, label_width
 from raybatch_addon.ui.properties import switch_name
-from tests.support.panel_layout import Layout, context_of, drawn, own_panels
+from tests.support.panel_layout import FIRST_WIDTH, Layout, Measured, context_of, drawn, own_panels
 
-# Seen in Blender's window where the Properties editor has its first width, 282 pixels [pixels]
-LABEL_WIDTH, FIELD_WIDTH = 84, 102
 SWITCHES = [name for name, info in SETTINGS.items() if info.is_switch]
 NUMBERS = [name for name, info in SETTINGS.items() if switch_name(info) and not info.is_switch]
 
@@ -72,15 +75,83 @@ def test_a_number_begins_with_what_was_chosen_in_the_last_render(scene):
     assert settings_from(scene).treelet_size == 1234
 
 
-def test_names_fit_the_panel_at_its_first_width():
-    for info in SETTINGS.values():
-        is_beside = info.is_switch and info.name != "denoise"  # the name of a lone checkbox stands behind it
-        assert label_width(info.label) <= (FIELD_WIDTH if is_beside else LABEL_WIDTH), info.label
-        if not info.is_switch:
-            for _, label, _ in info.choices:
-                assert label_width(label) <= FIELD_WIDTH, (info.name, label)
+def cut_off(scene, info):
+    layout = Measured()
+    region = SimpleNamespace(width=FIRST_WIDTH)
+    render_panels._draw_setting(layout.column(), context_of(scene, region=region), info)
+    return layout.cut
+
+
+@pytest.mark.parametrize("name", [name for name in SETTINGS if name != "device"])
+def test_names_and_values_fit_the_panel_at_its_first_width(scene, name):
+    reports.clear()
+    info, own = SETTINGS[name], scene.raybatch
+    assert cut_off(scene, info) == []
+    for identifier, _, _ in info.choices:
+        setattr(own, name, identifier)
+        assert cut_off(scene, info) == []
+    if info.kind is not str and switch_name(info):
+        setattr(own, switch_name(info), info.auto is None)
+        assert cut_off(scene, info) == []
+
+
+def chosen_values(info):
+    if info.choices:
+        return [identifier for identifier, _, _ in info.choices if identifier != info.auto]
+    if info.unit == BYTES:
+        return [1_000, 999_949, 65_536, 123_456_789, 12_345_678_901, 999_000_000_000]
+    return [8, 2_048] if info.unit == "pixels" else [8, 999_999, 4_194_304, 268_435_456]
+
+
+@pytest.mark.parametrize("name", [name for name, info in SETTINGS.items() if info.auto is not None])
+def test_what_was_chosen_fits_beside_auto(scene, name):
+    info, own = SETTINGS[name], scene.raybatch
+    if name == "device":
+        return
+    assign_setting(own, name, info.auto)
+    for value in chosen_values(info):
+        report = reports.begin(scene.name, 1)
+        report.statistics[scene.view_layers[0].name] = {"auto": {name: {"value": value, "why": "it fits"}}}
+        assert cut_off(scene, info) == [], value
+        notes = drawn_setting(scene, info)
+        (button,) = [note[3] for note in notes if note[0] == "operator"]
+        assert (button.setting, button.value, button.shown) == (name, str(value), value_text(info, value))
+    reports.clear()
+
+
+def drawn_setting(scene, info):
+    layout = Layout()
+    render_panels._draw_setting(layout, context_of(scene), info)
+    return layout.notes
+
+
+def test_the_layout_notes_what_is_cut_off(scene):
+    layout = Measured()
+    layout.label("a name that is far too long for a panel of this width")
+    layout.row().split(factor=0.5).operator("raybatch.keep_choice", text="Specialised kernels")
+    assert [text.split(":")[0] for text in layout.cut] == [
+        "a name that is far too long for a panel of this width",
+        "Specialised kernels",
+    ]
+
+
+def test_names_of_panels_fit():
     for group in GROUPS.values():
         assert label_width(group.label) <= 150
+
+
+def test_the_panel_speaks_of_auto_and_the_command_line_of_numbers():
+    for info in SETTINGS.values():
+        if info.kind is str:
+            continue
+        assert "{" not in info.description + info.panel_description
+        if info.auto is not None or info.off is not None:
+            rest = f"{info.off if info.auto is None else info.auto:g}"
+            assert re.search(rf"\b{rest}\b", info.description), "what the number means that stands for it"
+            assert not re.search(rf"\b{rest}\b", info.panel_description)
+            assert ("Auto" if info.auto is not None else "off") in info.panel_description
+        else:
+            assert info.description == info.panel_description
 
 
 def test_other_numbers_than_0_say_what_is_automatic():
