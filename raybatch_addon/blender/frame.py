@@ -24,7 +24,7 @@ from ..export.view import View
 from . import checkpoints, exit_code, finals, missing, reports, tuning
 from .denoise_library import library_for
 from .denoising import denoise_film, whole_tile, with_guides
-from .result import ResultWriter, stamp_mattes, view_names
+from .result import ResultWriter, check_result_fits, stamp_mattes, view_names
 from .sessions import session_for
 from .status.status import RenderStatus
 from .status.terminal import plain_lines
@@ -85,6 +85,7 @@ def _fail(engine: bpy.types.RenderEngine, report: reports.RenderReport, message:
 
 def _render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph, report: reports.RenderReport) -> None:
     settings = settings_from(depsgraph.scene)
+    check_result_fits(depsgraph.scene, depsgraph.view_layer)
     if settings.tile_order == "AUTO" and not bpy.app.background:  # somebody watches
         settings = settings.replace(tile_order="PROGRESSIVE")
     layer_name = depsgraph.view_layer.name

@@ -6,6 +6,9 @@ import bpy
 import numpy as np
 
 from ..core.denoise.picture import NOISY_CATCHER, NOISY_IMAGE
+from ..core.device.devices import host_memory_free
+from ..core.errors import OutOfMemoryError
+from ..core.measure.memory import size_text
 from ..core.observers import Tile
 from ..core.scene.cryptomatte import matte_fields
 from ..core.scene.description import Scene
@@ -39,6 +42,25 @@ def _about(name: str) -> tuple[int, str, str]:
     letters = _MADE_LETTERS.get(name) or letters_of(name)
     kind = "COLOR" if letters.lower().startswith("rgb") else "VALUE" if len(letters) == 1 else "VECTOR"
     return len(letters), letters, kind
+
+
+def check_result_fits(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> None:
+    """Raises `OutOfMemoryError` where Blender's pictures of the whole frame do not fit in memory, also where a border
+    is rendered that they are not cropped to: Blender would go on without them, and save black.
+    """
+    render = scene.render
+    if render.use_border and render.use_crop_to_border:
+        return  # the film is checked
+    width, height = (size * render.resolution_percentage // 100 for size in (render.resolution_x, render.resolution_y))
+    layers = [view_layer] if render.use_single_layer else [layer for layer in scene.view_layers if layer.use]
+    names = [name for layer in layers for name in (*wanted_passes(layer), *made_passes(scene, layer))]
+    needed = width * height * 4 * sum(_about(name)[0] for name in names)
+    if needed > (free := host_memory_free()):
+        crop = ", or turn on Crop to Render Region" if render.use_border else ""
+        raise OutOfMemoryError(
+            f"Blender's picture of {width:,} x {height:,} pixels with its passes takes {size_text(needed)} of memory, "
+            f"and {size_text(free)} are free; lower the resolution, ask for fewer passes{crop}"
+        )
 
 
 def stamp_mattes(engine: bpy.types.RenderEngine, layer_name: str, scene: Scene) -> None:

@@ -23,7 +23,6 @@ from raybatch_addon.export.passed_over.look import with_light_looked_for
 from raybatch_addon.export.scene import export_scene
 from tests.support import scenes
 from tests.support.blender_builders import add_grid
-from tests.support.panel_layout import context_of, drawn, own_panels
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -91,18 +90,6 @@ def test_notices_are_texts_that_keep_what_they_are_about(tmp_path, scene):
     save_scene(tmp_path / "a.scene.npz", exported, RenderSettings())
     kept = load_scene(tmp_path / "a.scene.npz")[0].warnings
     assert [described(each) for each in kept] == [described(each) for each in exported.warnings] and kept
-
-
-def test_nothing_to_do_in_a_panel_is_on_a_command_line(scene, capsys):
-    scene.cycles.max_bounces = 3
-    notice = the_one(scene, "settings of Cycles are not used")
-    assert notice.remedy.endswith("Before the Render > Settings of Other Engines > Settings From Cycles")
-    bpy.ops.raybatch.check_scene()
-    panels = [panel for panel in own_panels() if panel.__name__ == "RAYBATCH_RENDER_PT_before_render"]
-    texts = " ".join(note[1] for note in drawn(panels[0], context_of(scene)) if note[0] == "label")
-    assert "To do: take them over" in texts and "--" not in texts and ".py" not in texts
-    missing.print_notices([notice])
-    assert capsys.readouterr().err.rstrip().endswith("Settings From Cycles, or -- --raybatch-settings-from cycles)")
 
 
 def test_what_is_missing_is_said_before_the_render(scene, monkeypatch):

@@ -4,13 +4,14 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from raybatch_addon.blender import missing
 from raybatch_addon.core.settings.settings import SETTINGS
 from raybatch_addon.export.materials import export_material
 from raybatch_addon.export.nodes.collections import Collections
 from raybatch_addon.export.settings import settings_from
 from raybatch_addon.export.taken_over.rows import CYCLES, EEVEE, ROWS
 from raybatch_addon.export.taken_over.take import Difference, differences, passed_over_settings, take_over
-from raybatch_addon.ui.before_render.panel import RAYBATCH_RENDER_PT_settings_from
+from raybatch_addon.ui.before_render.panel import RAYBATCH_RENDER_PT_before_render, RAYBATCH_RENDER_PT_settings_from
 from tests.support.panel_layout import context_of, drawn
 
 
@@ -161,3 +162,15 @@ def test_denoising_of_view_layers_counts_as_a_whole(scene):
     scene.view_layers[0].cycles.use_denoising = False
     take_over(scene, CYCLES)
     assert scene.raybatch.denoise == "OFF"
+
+
+def test_nothing_to_do_in_a_panel_is_on_a_command_line(scene, capsys):
+    scene.cycles.max_bounces, scene.cycles.use_denoising = 3, False
+    (notice,) = passed_over_settings(scene)
+    assert notice.remedy.endswith("Before the Render > Settings of Other Engines > Settings From Cycles")
+    bpy.ops.raybatch.check_scene()
+    notes = drawn(RAYBATCH_RENDER_PT_before_render, context_of(scene))
+    texts = " ".join(note[1] for note in notes if note[0] == "label")
+    assert "To do: take them over" in texts and "--" not in texts and ".py" not in texts
+    missing.print_notices([notice])
+    assert capsys.readouterr().err.rstrip().endswith("Settings From Cycles, or -- --raybatch-settings-from cycles)")
