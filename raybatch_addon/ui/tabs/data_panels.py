@@ -60,6 +60,9 @@ class RAYBATCH_VIEWLAYER_PT_passes(EnginePanel, bpy.types.Panel):
         column = layout.column(heading="Other")
         for name, text in _OTHER_LIGHT.items():
             column.prop(layer, name, text=text)
+        world = context.scene.world
+        if layer.use_pass_ambient_occlusion and world is not None:
+            column.prop(world.light_settings, "distance", text="AO Distance")
         if of_cycles is not None:
             column.prop(of_cycles, CATCHER_PROPERTY)
         column = layout.column(heading="Cryptomatte")
@@ -87,7 +90,9 @@ class RAYBATCH_VIEWLAYER_PT_filter(EnginePanel, bpy.types.Panel):
         column.prop(context.view_layer, "use_volumes", text="Volumes")
         if hasattr(context.view_layer, "use_motion_blur"):
             column.prop(context.view_layer, "use_motion_blur", text="Motion Blur")
-        layout.prop(context.view_layer, "material_override", text="Override")
+        layout.prop(context.view_layer, "material_override", text="Material")
+        if hasattr(context.view_layer, "world_override"):  # since Blender 5
+            layout.prop(context.view_layer, "world_override", text="World")
 
 
 class RAYBATCH_OBJECT_PT_ray_visibility(EnginePanel, bpy.types.Panel):

@@ -68,6 +68,21 @@ class RAYBATCH_WORLD_PT_settings(_WorldPanel, bpy.types.Panel):
         row.prop(own, "sample_map_resolution", text="Resolution")
 
 
+class RAYBATCH_WORLD_PT_ambient_occlusion(EnginePanel, bpy.types.Panel):
+    """How far ambient occlusion looks: the pass, and nodes without a distance of their own."""
+
+    bl_label = "Ambient Occlusion"
+    bl_context = "world"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context):
+        return super().poll(context) and context.world is not None
+
+    def draw(self, context):
+        split_layout(self.layout).prop(context.world.light_settings, "distance")
+
+
 def _is_portal(light: bpy.types.Light) -> bool:
     return light.type == "AREA" and getattr(getattr(light, "cycles", None), "is_portal", False)
 
@@ -134,6 +149,7 @@ _classes = (
     RAYBATCH_MATERIAL_PT_settings,
     RAYBATCH_WORLD_PT_ray_visibility,
     RAYBATCH_WORLD_PT_settings,
+    RAYBATCH_WORLD_PT_ambient_occlusion,
     RAYBATCH_LIGHT_PT_settings,
     RAYBATCH_LIGHT_PT_nodes,
     RAYBATCH_VIEWLAYER_PT_aov,
