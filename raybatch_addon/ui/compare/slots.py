@@ -61,7 +61,7 @@ def unlike(settings: dict[str, Any], others: dict[str, Any]) -> list[str]:
 
 @persistent
 def note_render(*_: object) -> None:
-    """A render is over: note what is in its slot."""
+    """A render is over, or was cancelled: note what is in its slot."""
     global _count
     there, report = slots(), reports.last()
     if there is None:
@@ -144,19 +144,26 @@ class RAYBATCH_OT_show_slot(bpy.types.Operator):
         return {"FINISHED"}
 
 
+def _ends() -> tuple[list, list]:
+    """Blender's handlers at the end of a render: what was done of one that was cancelled is in its slot too."""
+    return bpy.app.handlers.render_complete, bpy.app.handlers.render_cancel
+
+
 _classes = (RAYBATCH_OT_render_in_new_slot, RAYBATCH_OT_show_slot)
 
 
 def register() -> None:
     """Add the operators, and have renders noted."""
     register_all(_classes)
-    bpy.app.handlers.render_complete.append(note_render)
+    for handlers in _ends():
+        handlers.append(note_render)
     bpy.app.handlers.load_pre.append(forget_slots)
 
 
 def unregister() -> None:
     """Remove them."""
     bpy.app.handlers.load_pre.remove(forget_slots)
-    bpy.app.handlers.render_complete.remove(note_render)
+    for handlers in _ends():
+        handlers.remove(note_render)
     forget_slots()
     unregister_all(_classes)

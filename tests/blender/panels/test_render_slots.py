@@ -4,9 +4,11 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from raybatch_addon.blender import frame
 from raybatch_addon.ui.compare import slots
 from raybatch_addon.ui.compare.panel import RAYBATCH_RENDER_PT_compare
 from tests.support.blender_builders import add_grid
+from tests.support.blender_watch import watch_engines
 from tests.support.panel_layout import context_of, drawn
 
 
@@ -44,6 +46,27 @@ def test_a_render_in_the_same_slot_takes_the_place_of_the_last(rendered):
         rendered.raybatch.sample_count = samples
         bpy.ops.render.render()
     assert [each.settings["sample_count"] for _, each in slots.known_renders()] == [2]
+
+
+def test_what_was_done_of_a_cancelled_render_is_listed(rendered, monkeypatch):
+    """Esc has Blender call the handlers of a cancel; here, where nobody can press it, the test does."""
+    bpy.ops.render.render()
+    rendered.raybatch.sample_count = 1_000_000
+    fractions = []
+    with monkeypatch.context() as patch:
+        patch.setattr(frame, "progress_listeners", [lambda progress: fractions.append(progress.fraction)])
+        watch_engines(patch, test_break=lambda _engine: max(fractions, default=0) > 0)
+        bpy.app.handlers.render_complete.remove(slots.note_render)
+        try:
+            bpy.ops.render.render()
+        finally:
+            bpy.app.handlers.render_complete.append(slots.note_render)
+    assert [each.settings["sample_count"] for _, each in slots.known_renders()] == [2]
+    for handler in bpy.app.handlers.render_cancel:
+        if handler is slots.note_render:
+            handler(rendered)
+    ((_, found),) = slots.known_renders()
+    assert found.settings["sample_count"] == 1_000_000 and "cancelled" in found.title
 
 
 def test_the_oldest_render_goes_where_all_slots_are_taken(rendered):
