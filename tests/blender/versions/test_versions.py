@@ -11,6 +11,7 @@ from raybatch_addon.core.settings.settings import SETTINGS
 from raybatch_addon.core.version import VERSION
 from raybatch_addon.export.settings import settings_from
 from raybatch_addon.ui import migration
+from tests.blender.versions import save
 from tests.support.panel_layout import context_of, drawn, own_panels
 
 FOLDER = Path(__file__).parent
@@ -30,7 +31,8 @@ def test_each_version_has_its_file():
 def test_a_file_of_each_version_means_what_it_meant(addon, version):
     bpy.ops.wm.open_mainfile(filepath=str(FOLDER / f"{version}.blend"))
     scene = bpy.context.scene
-    meant = json.loads((FOLDER / f"{version}.json").read_text(encoding="utf-8"))
+    meant = meant_by(version)
+    groups = meant.pop("groups", {})
     settings = settings_from(scene)
     expected = meant | MIGRATED.get(version, {})
     assert {name: getattr(settings, name) for name in expected} == expected
@@ -39,6 +41,28 @@ def test_a_file_of_each_version_means_what_it_meant(addon, version):
     assert scene.render.engine == "RAYBATCH" and scene.raybatch.version == VERSION
     assert scene.view_layers[0].raybatch.use_pass_rays and not scene.view_layers[0].raybatch.use_pass_node_steps
     assert scene.raybatch_export.exposure == 2 and scene.raybatch_viewport.samples == 33
+    assert {name: save.values_of(save.groups_of(scene)[name]) for name in groups} == groups
+
+
+def meant_by(version):
+    return json.loads((FOLDER / f"{version}.json").read_text(encoding="utf-8"))
+
+
+def test_the_file_of_this_version_has_every_property(addon, scene):
+    meant = meant_by(VERSION)
+    groups = meant.pop("groups")
+    assert set(meant) == set(SETTINGS)
+    assert {name: list(values) for name, values in groups.items()} == {
+        name: [prop.identifier for prop in save.kept_properties(group)] for name, group in save.groups_of(scene).items()
+    }
+    assert {"raybatch_checkpoint", "raybatch_convergence", "raybatch_export", "raybatch_viewport"} < set(groups)
+    same = [
+        (name, prop)
+        for name, group in save.groups_of(bpy.data.scenes.new("New")).items()
+        for prop, value in save.values_of(group).items()
+        if groups[name][prop] == value
+    ]
+    assert same == [("view_layer", "use_pass_node_steps")], "the file tells them apart"
 
 
 @pytest.mark.parametrize(
