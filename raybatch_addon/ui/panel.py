@@ -17,7 +17,7 @@ ICON_WIDTH = 20
 _PANEL_MARGIN, _BOX_MARGIN = 48, 18
 _LEAST_WIDTH = 60
 # What a panel keeps free beside a name and its value, and the value's share of the rest
-_SPLIT_MARGIN, VALUE_SHARE = 74, 0.6
+_SPLIT_MARGIN, VALUE_SHARE = 44, 0.6
 
 
 class EnginePanel:

@@ -104,9 +104,10 @@ def context_of(scene, **extra):
     return types.SimpleNamespace(**{**own, "preferences": preferences, **extra})
 
 
-# Seen in Blender's window, where the Properties editor has its first width [pixels]
-FIRST_WIDTH = 282
-_VALUE_SHARE, _PANEL_MARGIN = 0.6, 74  # a panel beside names and values; of what is left the values' share
+# Seen in Blender's window, where the Properties editor has its first width, 282, without its tabs [pixels]
+FIRST_WIDTH = 252
+INNER_WIDTH = 216  # of a panel's content
+_VALUE_SHARE, _PANEL_MARGIN = 0.6, 44  # a panel beside names and values; of what is left the values' share
 _ICON, _CHECKBOX, _ARROW, _BUTTON = 20, 23, 23, 8  # what is not text of a button
 
 
@@ -147,7 +148,7 @@ class Measured(Layout):
 
     def label(self, text="", icon="NONE", icon_value=0):
         super().label(text, icon, icon_value)
-        self._check(text, self._place())
+        self._check(text, self._place() - _BUTTON - (_ICON + 5 if icon != "NONE" else 0))
 
     def operator(self, name, text="", emboss=True, icon="NONE", depress=False):
         room = self._place() - (_ICON if icon != "NONE" else _BUTTON)

@@ -8,7 +8,7 @@ from typing import Any
 import bpy
 
 from ...core.settings.settings import SETTINGS
-from ..choices import value_text
+from ..choices import short_text
 from ..panel import LATER, EnginePanel, draw_lines
 from .operators import RAYBATCH_OT_take_fastest, RAYBATCH_OT_tune
 
@@ -30,7 +30,7 @@ class RAYBATCH_RENDER_PT_tune(EnginePanel, bpy.types.Panel):
             return
         table = layout.column(align=True)
         for words in table_rows(found.tuning):
-            row = table.split(factor=0.62)
+            row = table.split(factor=0.68)
             row.label(text=words[0], icon="CHECKMARK" if words[2] else "BLANK1")
             row.label(text=words[1])
         draw_lines(layout, context, notes(found.tuning))
@@ -44,7 +44,7 @@ def change_text(changes: dict[str, Any]) -> str:
     if not changes:
         return "As set"
     name, value = list(changes.items())[-1]
-    return f"{SETTINGS[name].label}: {value_text(SETTINGS[name], value)}"
+    return f"{SETTINGS[name].label}: {short_text(SETTINGS[name], value)}"
 
 
 def time_text(seconds: float) -> str:
@@ -62,7 +62,7 @@ def table_rows(tuning) -> list[tuple[str, str, bool]]:
 
 
 def _why(trial) -> str:
-    return "slower" if trial.why == "slower" else "not possible"
+    return "slower" if trial.why == "slower" else "failed"
 
 
 def notes(tuning) -> list[str]:
