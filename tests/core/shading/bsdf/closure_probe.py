@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import warp as wp
 
+from raybatch_addon.core.device.codegen.local_arrays import Unset
 from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.scene.description import Closure, ClosureKind, Material
 from raybatch_addon.core.shading.bsdf.albedo import AlbedoTables
@@ -60,7 +61,7 @@ def halved(bsdf, half):
         wo: wp.vec3,
         wi: wp.vec3,
     ) -> Mixture:
-        records = wp.zeros(wp.static(MOST * RECORD_FLOATS), dtype=float)
+        records = wp.zeros(wp.static(MOST * RECORD_FLOATS), dtype=Unset)
         own = wp.array(ptr=address_of(records), shape=(wp.static(MOST),), dtype=ClosureRecord)
         halve(closures, first, end, own)
         return bsdf.mix(own, 0, end - first, lobes, albedo, frame, wo, wi)
@@ -77,7 +78,7 @@ def halved(bsdf, half):
         u_lobe: float,
         u: wp.vec2,
     ) -> BsdfSample:
-        records = wp.zeros(wp.static(MOST * RECORD_FLOATS), dtype=float)
+        records = wp.zeros(wp.static(MOST * RECORD_FLOATS), dtype=Unset)
         own = wp.array(ptr=address_of(records), shape=(wp.static(MOST),), dtype=ClosureRecord)
         halve(closures, first, end, own)
         return bsdf.propose(own, 0, end - first, lobes, albedo, frame, wo, u_lobe, u)
@@ -103,7 +104,7 @@ def kernels(features, half=""):
     ):
         i = wp.tid()
         material = table.records[0]
-        seen = wp.zeros(wp.static(MOST * LOBE_FLOATS), dtype=float)
+        seen = wp.zeros(wp.static(MOST * LOBE_FLOATS), dtype=Unset)
         lobes = wp.array(ptr=address_of(seen), shape=(wp.static(MOST),), dtype=Lobe)
         bsdf.look(table.closures, material.closure_first, material.closure_end, table.albedo, frame, wo[i], lobes)
         mixture = bsdf.mix(
@@ -127,7 +128,7 @@ def kernels(features, half=""):
         i = wp.tid()
         first = table.records[0].closure_first
         end = table.records[0].closure_end
-        seen = wp.zeros(wp.static(MOST * LOBE_FLOATS), dtype=float)
+        seen = wp.zeros(wp.static(MOST * LOBE_FLOATS), dtype=Unset)
         lobes = wp.array(ptr=address_of(seen), shape=(wp.static(MOST),), dtype=Lobe)
         bsdf.look(table.closures, first, end, table.albedo, frame, wo[i], lobes)
         result = bsdf.propose(
