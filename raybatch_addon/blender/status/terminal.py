@@ -15,6 +15,9 @@ import bpy
 
 # From one line to the next, of whatever frame [s]
 PLAIN_SECONDS = 5.0
+# Whether lines wait. A script that brought in Blender as a module knows itself when its render is over, and what is
+# printed then is its own
+WAITS = not bpy.app.module
 
 
 class PlainLines:
@@ -46,6 +49,8 @@ class PlainLines:
         """Print `text` when it is due, unless something else begins before."""
         with self._lock:
             self._take()
+            if not WAITS:
+                return
             self._waiting = text
             seconds = max(0.0, self._said_at + PLAIN_SECONDS - time.perf_counter())
             self._timer = threading.Timer(seconds, self.flush)
