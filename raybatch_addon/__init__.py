@@ -2,7 +2,18 @@
 
 # SPDX-License-Identifier: GPL-3.0-or-later
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
 # `import raybatch_addon.core` works where there is no Blender; `register()` brings in Blender's side.
+
+
+# A render that was asked to end and has not by then keeps the engine until it does [s]
+_END_SECONDS = 60.0
 
 
 def register() -> None:
@@ -14,6 +25,11 @@ def register() -> None:
     from . import engine, ui
     from .blender import finals
 
+    if (unregistered_later := finals.take_call()) is not None:
+        if finals.are_under_way():  # all is still there
+            finals.go_on()
+            return
+        unregistered_later()
     ui.register()
     bpy.utils.register_class(engine.RayBatchRenderEngine)
     finals.register()
@@ -23,34 +39,54 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Remove everything that `register` added, and give back what is cached."""
+    """Remove everything that `register` added, and give back what is cached. Renders under way are ended first, as by
+    Esc; where this is called by one of them, what it needs goes when it ends.
+    """
+    from .blender import finals
+
+    finals.end_all()
+    viewports = _module_there("blender.viewport.viewport")
+    if viewports is not None:
+        viewports.end_viewports()
+    if finals.wait_for_end(_END_SECONDS):
+        _unregister()
+    else:
+        finals.call_once_over(_unregister)
+
+
+def _unregister() -> None:
     import atexit
-    import sys
 
     import bpy
 
     from . import engine, ui
-    from .blender import finals, missing, reports
+    from .blender import finals, missing, reports, warm_up
 
     atexit.unregister(_unregister_at_exit)
     bpy.utils.unregister_class(engine.RayBatchRenderEngine)
     ui.unregister()
     finals.unregister()
-    viewports = sys.modules.get(f"{__name__}.blender.viewport.viewport")
-    if viewports is not None:
+    warm_up.finish_warm_up()
+    if (viewports := _module_there("blender.viewport.viewport")) is not None:
         viewports.close_viewports()
-    sessions = sys.modules.get(f"{__name__}.blender.sessions")  # there if something was rendered
-    if sessions is not None:
+    if (sessions := _module_there("blender.sessions")) is not None:
         sessions.close_all()
-    for module, forget in (
+    for name, forget in (
         ("images.images", "forget_images"),
         ("meshes.kept_meshes", "forget_meshes"),
         ("kept_graphs", "forget_kept"),
     ):
-        if (kept := sys.modules.get(f"{__name__}.export.{module}")) is not None:
+        if (kept := _module_there(f"export.{name}")) is not None:
             getattr(kept, forget)()
     reports.clear()
     missing.forget_found()
+
+
+def _module_there(name: str) -> ModuleType | None:
+    """A module of the add-on that something was rendered with; None where nothing was."""
+    import sys
+
+    return sys.modules.get(f"{__name__}.{name}")
 
 
 def _unregister_at_exit() -> None:

@@ -3,39 +3,49 @@
 Two facts are kept, as neither holds all the time: Blender's handlers know of the job, also between two of its frames
 and before the first, but not of previews, nor of sessions that close; the count knows of these, and of every view layer
 that is rendered, but not of what lies between.
+
+Blender must not lose the engine in the middle of a render. Where the add-on is to go meanwhile, renders are asked to
+end, as by Esc, and it goes once they have.
 """
 
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import bpy
 from bpy.app.handlers import persistent
 
+# How often who waits for the end of renders looks whether there are any [s]
+_LOOK_SECONDS = 0.05
+
 _lock = threading.Lock()
-_count = 0  # renders of view layers
+_threads: list[int] = []  # those that render, once for each view layer and each step about it
 _is_job = False  # Blender is in a render, maybe between two frames
+_job_thread = 0
+_ends = False  # renders are to end
+_then: Callable[[], None] | None = None  # to be called once they have
 job = 0  # number of the render that Blender is in, or was in last
 
 
 @contextmanager
 def under_way() -> Iterator[None]:
     """A final render is under way meanwhile."""
-    global _count
+    own = threading.get_ident()
     with _lock:
-        _count += 1
+        _threads.append(own)
     try:
         yield
     finally:
         with _lock:
-            _count -= 1
+            _threads.remove(own)
 
 
 def are_under_way() -> bool:
     """Whether viewports are to wait; on any thread."""
-    return _is_job or _count > 0
+    return _is_job or len(_threads) > 0
 
 
 def look() -> None:
@@ -45,10 +55,55 @@ def look() -> None:
         _is_job = False
 
 
+def end_all() -> None:
+    """Ask renders to end soon, those under way and those to come; on any thread."""
+    global _ends
+    _ends = True
+
+
+def have_to_end() -> bool:
+    """Whether renders were asked to; they look several times a second."""
+    return _ends
+
+
+def wait_for_end(seconds: float) -> bool:
+    """Whether no render is under way, after at most `seconds`. On a thread that renders at once: it cannot wait for
+    itself.
+    """
+    if not bpy.app.background:
+        look()
+    own, end = threading.get_ident(), time.monotonic() + seconds
+    while are_under_way():
+        if own in _threads or (_is_job and own == _job_thread) or time.monotonic() > end:
+            return False
+        time.sleep(_LOOK_SECONDS)
+    return True
+
+
+def call_once_over(then: Callable[[], None]) -> None:
+    """Call `then` when Blender's render ends: on its thread, in a Blender with a window on the main one."""
+    global _then
+    _then = then
+
+
+def take_call() -> Callable[[], None] | None:
+    """What was to be called, and is not any more."""
+    global _then
+    then, _then = _then, None
+    return then
+
+
+def go_on() -> None:
+    """Renders need not end."""
+    global _ends
+    _ends = False
+
+
 @persistent
 def _begin(scene: bpy.types.Scene | None, *_: object) -> None:
-    global _is_job, job
+    global _is_job, _job_thread, job
     job += 1
+    _job_thread = threading.get_ident()
     _is_job = scene is not None and scene.render.engine == "RAYBATCH"
 
 
@@ -56,16 +111,29 @@ def _begin(scene: bpy.types.Scene | None, *_: object) -> None:
 def _end(*_: object) -> None:
     global _is_job
     _is_job = False
+    if _then is None:
+        return
+    if bpy.app.background:
+        _call()
+    else:  # classes of the window's are removed where it is drawn
+        bpy.app.timers.register(_call, first_interval=0.0, persistent=True)
+
+
+def _call() -> None:
+    if (then := take_call()) is not None:
+        then()
 
 
 def register() -> None:
     """Follow Blender's renders from now on."""
+    go_on()
     add_render_handlers(_begin, _end)
 
 
 def unregister() -> None:
     """Follow them no longer."""
-    _end()
+    global _is_job
+    _is_job = False
     remove_render_handlers(_begin, _end)
 
 

@@ -84,6 +84,7 @@ def _fail(engine: bpy.types.RenderEngine, report: reports.RenderReport, message:
 
 
 def _render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph, report: reports.RenderReport) -> None:
+    _end_if_asked(None)
     settings = settings_from(depsgraph.scene)
     check_result_fits(depsgraph.scene, depsgraph.view_layer)
     if settings.tile_order == "AUTO" and not bpy.app.background:  # somebody watches
@@ -96,12 +97,19 @@ def _render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph, repo
         film = _render_view(engine, depsgraph, report, settings, status, View(engine, name))
         if any(listener() for listener in stop_listeners) and not (film and film.complete):
             raise KeyboardInterrupt  # Blender would write what there is, and go on to the next frame
+        _end_if_asked(film)
         if _is_stopped(engine):
             return
 
 
+def _end_if_asked(film: Film | None) -> None:
+    """An error where the add-on goes and the picture lacks samples."""
+    if finals.have_to_end() and not (film and film.complete):
+        raise RayBatchError("stopped, as RayBatch was disabled during the render; enable it and render again")
+
+
 def _is_stopped(engine: bpy.types.RenderEngine) -> bool:
-    return engine.test_break() or any(listener() for listener in stop_listeners)
+    return engine.test_break() or finals.have_to_end() or any(listener() for listener in stop_listeners)
 
 
 def _render_view(
@@ -131,7 +139,7 @@ def _render_view(
         scene_listener(layer_name, scene, settings)
     missing.refuse_what_lacks(depsgraph.scene, found)
     if tuning.is_tuning():
-        tried = tuning.run_tuning(scene, settings, engine.test_break, status.show)
+        tried = tuning.run_tuning(scene, settings, lambda: _is_stopped(engine), status.show)
         if tried is not None:
             ResultWriter(engine, layer_name, scene.frame.region[:2], view.name).write(whole_tile(tried))
         return None

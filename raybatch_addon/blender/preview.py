@@ -12,6 +12,7 @@ from ..core.settings.settings import RenderSettings
 from ..export.meshes.kept_meshes import aside
 from ..export.scene import export_scene, reading
 from ..export.settings import exposure_of
+from . import finals
 from .result import ResultWriter
 from .sessions import preview_session
 
@@ -27,7 +28,8 @@ def render_preview(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgrap
     further: Blender would show a list of errors for a list of materials.
     """
     try:
-        _render(engine, depsgraph)
+        with finals.under_way():
+            _render(engine, depsgraph)
     except RayBatchError as error:
         print(f"RayBatch: no preview: {' '.join(str(error).split())}", file=sys.stderr)
     except Exception:
@@ -35,13 +37,16 @@ def render_preview(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgrap
 
 
 def _render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> None:
+    def is_stopped() -> bool:
+        return engine.test_break() or finals.have_to_end()
+
     with reading, aside():
-        scene = export_scene(depsgraph, cancelled=engine.test_break)
+        scene = export_scene(depsgraph, cancelled=is_stopped)
     if scene is None:
         return
     writer = ResultWriter(
         engine, depsgraph.view_layer.name, scene.frame.region[:2], exposure=exposure_of(depsgraph.scene)
     )
-    with preview_session(PREVIEW_SETTINGS, engine.test_break) as session:
+    with preview_session(PREVIEW_SETTINGS, is_stopped) as session:
         if session is not None:
-            session.render(scene, PREVIEW_SETTINGS, on_tile=writer.write, cancelled=engine.test_break)
+            session.render(scene, PREVIEW_SETTINGS, on_tile=writer.write, cancelled=is_stopped)

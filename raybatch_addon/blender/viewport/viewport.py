@@ -48,10 +48,12 @@ class Viewport:
         self.render = LiveRender(source or ViewSessions(), redraw)
         self._shown: tuple[Any, ...] | None = None  # what the last request was made of
         self._space_state: tuple[Any, ...] | None = None
+        self._source: tuple[int, str] | None = None  # `session_uid` of the scene that is read, and its view layer
         self._scene: Scene | None = None  # of the last request: while it is held, no other has its identity
         self._number = 0
         self._was_deleted = False  # something of Blender's, while the scene was read last
         self._timer: threading.Timer | None = None  # until it is drawn again, where that need not be at once
+        self._is_closed = False
         self._error = ""  # why the scene could not be read
         self._exposure = 1.0
         self._texture = PictureTexture()
@@ -94,6 +96,9 @@ class Viewport:
 
     def close(self) -> None:
         """End soon, without waiting."""
+        self._is_closed = True
+        if self._timer is not None:
+            self._timer.cancel()
         self.render.close()
 
     # --- reading
@@ -114,6 +119,10 @@ class Viewport:
 
     def _read_slice(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
         space, scene = context.space_data, depsgraph.scene
+        source = (scene.original.session_uid, depsgraph.view_layer.name)
+        if source != self._source:  # the window shows another scene, of which nothing need be evaluated anew
+            self._source = source
+            self.live.forget()
         space_state = _state_of(space)
         if space_state != self._space_state:
             self._space_state = space_state
@@ -134,7 +143,7 @@ class Viewport:
         self._show(self.live.scene, camera, frame, settings, pixel_side(scene, context.preferences.system.pixel_size))
 
     def _redraw_later(self) -> None:
-        if self._timer is None or not self._timer.is_alive():
+        if not self._is_closed and (self._timer is None or not self._timer.is_alive()):
             self._timer = threading.Timer(LOCKED_SECONDS, self._redraw)
             self._timer.daemon = True
             self._timer.start()
@@ -177,11 +186,17 @@ def with_warnings(text: str, warnings: Sequence[str]) -> str:
     return " | ".join(filter(None, (text, f"{reported[0]}{more}")))
 
 
-def close_viewports(seconds: float = 10.0) -> None:
-    """End all viewports, and wait for their threads."""
+def end_viewports() -> list[Viewport]:
+    """End all viewports soon, and return them."""
     viewports = list(_open)
     for viewport in viewports:
         viewport.close()
+    return viewports
+
+
+def close_viewports(seconds: float = 10.0) -> None:
+    """End all viewports, and wait for their threads."""
+    viewports = end_viewports()
     for viewport in viewports:
         viewport.render.join(seconds)
 

@@ -1,0 +1,189 @@
+"""The add-on is disabled, and enabled again, while it renders."""
+
+import pytest
+
+pytest.importorskip("bpy")
+
+from tests.support.command_line import run_python
+
+BEGINNING = """
+import faulthandler, gc, sys, threading
+faulthandler.dump_traceback_later(200, exit=True)
+import bpy
+import raybatch_addon as addon
+from raybatch_addon.blender import finals, frame, reports, sessions
+from tests.blender.features.compare import empty_scene
+from tests.blender.viewport.regions import region_context, wait_for
+
+addon._END_SECONDS = 1e9  # who waits for a render that was not asked to end waits too long
+addon.register()
+ENDLESS = 10**6
+
+def made(samples):
+    scene = empty_scene()
+    bpy.ops.mesh.primitive_cube_add(size=2)
+    scene.world = bpy.data.worlds.new("World")
+    scene.render.resolution_x, scene.render.resolution_y = 32, 24
+    scene.raybatch.sample_count = samples
+    scene.render.filepath = sys.argv[1] + "/out"
+    return scene
+
+def rendered(**options):
+    \"\"\"What Blender says of a render: nothing where it succeeds.\"\"\"
+    try:
+        bpy.ops.render.render(**options)
+    except RuntimeError as error:
+        return str(error)
+    return ""
+
+def shown():
+    \"\"\"A viewport that renders.\"\"\"
+    from raybatch_addon.blender.viewport.viewport import Viewport
+    from raybatch_addon.blender.viewport.draw import PictureTexture
+    PictureTexture.draw = lambda *_: None
+    bpy.context.scene.raybatch_viewport.samples = ENDLESS
+    viewport, context = Viewport(lambda: None), region_context()
+    def is_shown():
+        viewport.draw(None, context, bpy.context.evaluated_depsgraph_get())
+        return viewport.render.picture is not None
+    wait_for(is_shown)
+    return viewport
+
+def assert_gone():
+    assert not hasattr(bpy.types.Scene, "raybatch") and not finals.are_under_way()
+    assert not sessions._sessions and not sessions._is_lent
+    gc.collect()
+    wait_for(lambda: threading.enumerate() == [threading.main_thread()])  # pools end when they are looked at
+    for handlers in (bpy.app.handlers.render_init, bpy.app.handlers.render_cancel):
+        assert not [each for each in handlers if each.__module__.startswith("raybatch")]
+
+def assert_renders():
+    \"\"\"Enabled again it renders, and shows viewports.\"\"\"
+    addon.register()
+    films = []
+    frame.film_listeners[:] = [lambda *found: films.append(found[-1])]
+    made(2)
+    assert rendered() == "" and films[0].complete and films[0].passes["Combined"].any()
+    viewport = shown()
+    addon.unregister()
+    assert not viewport.render._thread.is_alive()
+    assert_gone()
+    print("well")
+"""
+
+FROM_ANOTHER_THREAD = """
+scene = made(ENDLESS)
+viewport = shown()
+begun, said = threading.Event(), []
+def look(progress):
+    if progress.stage == sys.argv[2]:
+        begun.set()
+frame.progress_listeners.append(look)
+thread = threading.Thread(target=lambda: said.append(rendered()))
+thread.start()
+assert begun.wait(120)
+addon.unregister()
+thread.join()
+frame.progress_listeners.clear()
+assert "RayBatch was disabled" in said[0], said
+assert_gone()
+assert_renders()
+"""
+
+FROM_THE_RENDER = """
+made(ENDLESS)
+viewport = shown()
+asked = []
+def disable(*_):
+    if not asked:
+        asked.append(1)
+        addon.unregister()
+listeners = {"scene": frame.scene_listeners, "progress": frame.progress_listeners,
+    "render_init": bpy.app.handlers.render_init, "render_pre": bpy.app.handlers.render_pre}[sys.argv[2]]
+listeners.append(disable)
+said = rendered()
+listeners.remove(disable)
+assert asked and "RayBatch was disabled" in said, said
+assert_gone()
+assert_renders()
+"""
+
+BETWEEN_FRAMES = """
+scene = made(2)
+scene.frame_start, scene.frame_end = 1, 5
+def disable(*_):
+    if bpy.context.scene.frame_current == 2:
+        addon.unregister()
+bpy.app.handlers.render_write.append(disable)
+said = rendered(animation=True)
+bpy.app.handlers.render_write.remove(disable)
+import os
+assert "RayBatch was disabled" in said and sorted(os.listdir(sys.argv[1])) == ["out0001.png", "out0002.png"]
+assert_gone()
+assert_renders()
+"""
+
+RELOADED_IN_THE_RENDER = """
+scene = made(64)
+films, asked = [], []
+def reload(*_):
+    if not asked:
+        asked.append(1)
+        addon.unregister()
+        addon.register()
+frame.progress_listeners.append(reload)
+frame.film_listeners.append(lambda *found: films.append(found[-1]))
+assert rendered() == "" and films[0].complete
+frame.progress_listeners.clear()
+addon.unregister()
+assert_gone()
+assert_renders()
+"""
+
+KEPT = """
+scene = made(ENDLESS)
+scene.raybatch_checkpoint.use = True
+left = [20]
+def disable(progress):
+    left[0] -= progress.stage == "render"
+    if not left[0]:
+        addon.unregister()
+frame.progress_listeners.append(disable)
+assert "RayBatch was disabled" in rendered()
+frame.progress_listeners.clear()
+assert_gone()
+from pathlib import Path
+from raybatch_addon.core.checkpoint.file import load_kept
+path, = Path(sys.argv[1]).glob("*.checkpoint")
+assert load_kept(path).film().sample_total > 0
+assert_renders()
+"""
+
+
+def assert_well(code, *arguments):
+    done = run_python(BEGINNING + code, *arguments)
+    assert done.returncode == 0 and done.stdout.splitlines()[-1:] == ["well"], done.stdout + done.stderr
+    assert "Traceback" not in done.stderr, done.stderr
+
+
+@pytest.mark.parametrize("stage", ["render", "build"])
+def test_disabled_from_another_thread_ends_the_render_and_the_viewport(stage, tmp_path):
+    """As in Blender's window: the render has a thread, and the preferences are on the main one."""
+    assert_well(FROM_ANOTHER_THREAD, tmp_path, stage)
+
+
+@pytest.mark.parametrize("place", ["render_init", "render_pre", "scene", "progress"])
+def test_disabled_by_the_render_itself_goes_when_that_has_ended(place, tmp_path):
+    assert_well(FROM_THE_RENDER, tmp_path, place)
+
+
+def test_disabled_between_frames_ends_the_animation(tmp_path):
+    assert_well(BETWEEN_FRAMES, tmp_path)
+
+
+def test_disabled_and_enabled_by_the_render_goes_on(tmp_path):
+    assert_well(RELOADED_IN_THE_RENDER, tmp_path)
+
+
+def test_a_render_that_was_ended_leaves_its_checkpoint(tmp_path):
+    assert_well(KEPT, tmp_path)
