@@ -45,7 +45,8 @@ def updates_to(receive):
     try:
         yield
     finally:
-        bpy.app.handlers.depsgraph_update_post.remove(handler)
+        if handler in bpy.app.handlers.depsgraph_update_post:  # Blender forgets it with the file
+            bpy.app.handlers.depsgraph_update_post.remove(handler)
 
 
 def wait_for(condition) -> None:
