@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
-"""Measure RayBatch: whole renders, what recording them costs, and traversal alone. `benchmark.py COMMAND --help` says
-how.
+"""Measure RayBatch: whole renders, recording, viewports, animations, previews, and traversal alone. `benchmark.py
+COMMAND --help` says how.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import IO, Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarking.in_blender import commands as in_blender
 from lib.command import UsageError, run_command
 from lib.output import OutputFolders, leave, write_report
 from rendering.request import RESOLUTION_DEFAULT, parse_settings
@@ -201,6 +202,7 @@ def argument_parser() -> argparse.ArgumentParser:
 
     whole_renders("recording", RECORDING, samples=64, runs=9)
     whole_renders("viewport", VIEWPORT, samples=64, runs=50)
+    in_blender.add_commands(command)
 
     traversal = command("traversal", TRAVERSAL)
     traversal.add_argument("--scene", type=Path, required=True, metavar="FILE")
@@ -241,6 +243,8 @@ def argument_parser() -> argparse.ArgumentParser:
 
 def measured(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
     """The report that was asked for, and the same in words; raises `RayBatchError`."""
+    if options.command in in_blender.NAMES:
+        return in_blender.measured(options)
     from benchmarking.scenes import SceneRequest
     from benchmarking.tables import memory_text, recording_text, render_text, slopes_text, traversal_text, viewport_text
 

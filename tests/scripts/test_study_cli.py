@@ -144,7 +144,7 @@ def test_textures_are_compared_without_clamping():
 
 
 def test_cycles_is_compared_at_equal_error(monkeypatch, tmp_path):
-    """`--equal-error` is what takes a file's clamping away (tests/blender/test_benchmark_blend.py)."""
+    """`--equal-error` is what takes a file's clamping away (tests/blender/benchmarks/test_benchmark_blend.py)."""
     from studies import cycles
 
     ran = []

@@ -1,0 +1,1 @@
+"""scripts/benchmark.py where it needs Blender."""
