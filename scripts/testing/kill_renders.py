@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import functools
+import json
 import os
 import signal
 import subprocess
@@ -34,14 +35,38 @@ SCENE.scene.npz is a scene written by render.py --save-scene; where none is name
 tests/support/schedule_scenes.py are rendered, with all passes, mattes, hair and motion blur. Films of all scenes and
 of these settings take turns: plain, in halves (error_estimate), to an error target, and with adaptive sampling. Each
 render that goes on has another schedule. Most renders are processes forked from one that has loaded the kernels; every
-tenth is render.py itself. Runs on the CPU, on systems that can fork. The exit code is 0, or 1 if a film differs or a
-checkpoint cannot be read.
+tenth is render.py itself. SCENE.blend is rendered by processes of Blender (the module bpy), with the checkpoint of the
+panel, each of which is killed once it has kept samples. Runs on the CPU, on systems that can fork. The exit code is 0,
+or 1 if a film differs or a checkpoint cannot be read.
 """
 MARKS = ("<!-- kills: made by scripts/testing/kill_renders.py -->", "<!-- end of kills -->")
 INTERVAL = 0.05  # of checkpoints [s]
 RENDER_SECONDS = 1.5  # of a film that nobody kills, about
 KILL_SECONDS = 0.6  # a render is killed at most so long after its start, and one of render.py after its first ray
 COMMAND_EVERY = 10
+BLENDER_SECONDS = 6.0  # of a film by Blender that nobody kills, about: its checkpoints come once a second
+# A process that renders a file and prints how long; arguments: this project, the file, the path of the output, settings
+BLENDER = """
+import json, os, sys
+sys.path.insert(0, sys.argv.pop(1))
+import bpy
+import raybatch_addon
+from raybatch_addon.blender import frame
+from raybatch_addon.export.settings import assign_setting
+raybatch_addon.register()
+bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
+scene = bpy.context.scene
+scene.render.engine, scene.render.filepath = "RAYBATCH", sys.argv[2]
+scene.raybatch_checkpoint.use, scene.raybatch_checkpoint.interval = True, 1.0
+for name, value in json.loads(sys.argv[3]).items():
+    assign_setting(scene.raybatch, name, value)
+frame.note_listeners.append(lambda text: print(text, file=sys.stderr))
+frame.film_listeners.append(lambda *found: print(json.dumps(found[-1].statistics["seconds"])))
+bpy.ops.render.render()
+sys.stdout.flush()
+sys.stderr.flush()
+os._exit(0)
+"""
 VARIANTS: dict[str, dict[str, Any]] = {
     "plain": {},
     "halves": {"error_estimate": "ON"},
@@ -79,18 +104,16 @@ class Killed:
         more = max(1.0, RENDER_SECONDS / (time.perf_counter() - start))
         self._settings = self._settings.replace(sample_count=int(32 * more))
         self._expected = session.render(self._scene, self._settings)
+        self._checkpoint = folder / "film.checkpoint"
 
     def film(self, random: np.random.Generator, kills_most: int) -> None:
         """Render one film, with `kills_most` kills at most; the last render is left alone."""
-        outcome, checkpoint = self.outcome, self._folder / "film.checkpoint"
+        outcome, checkpoint = self.outcome, self._checkpoint
         checkpoint.unlink(missing_ok=True)
         kills = 0
         while True:
-            number = outcome.kills + outcome.films
-            with_command = number % COMMAND_EVERY == COMMAND_EVERY - 1
             seconds = float(random.uniform(0, KILL_SECONDS)) if kills < kills_most else None
-            start = self._command if with_command else self._fork
-            code = start(checkpoint, seconds, int(random.integers(2**31)))
+            code = self._start(checkpoint, seconds, int(random.integers(2**31)))
             if code != -signal.SIGKILL:
                 break
             kills += 1
@@ -101,6 +124,12 @@ class Killed:
             outcome.faults.append(f"a render ended with exit code {code}")
         elif fault := self._fault(checkpoint):
             outcome.faults.append(fault)
+
+    def _start(self, path: Path, seconds: float | None, seed: int) -> int:
+        """The exit code of a process that renders, killed after some `seconds`; None: it is left alone."""
+        number = self.outcome.kills + self.outcome.films
+        start = self._command if number % COMMAND_EVERY == COMMAND_EVERY - 1 else self._fork
+        return start(path, seconds, seed)
 
     def _fault(self, checkpoint: Path) -> str:
         """Why what is in `checkpoint` is not the film; empty where it is."""
@@ -135,7 +164,7 @@ class Killed:
         }
 
     def _fork(self, path: Path, seconds: float | None, seed: int) -> int:
-        """The exit code of a forked process that renders, killed after so many `seconds`; None: it is left alone."""
+        """The same of a forked process, killed so long after its start."""
         found, pipe = os.pipe()
         child = os.fork()
         if child == 0:
@@ -162,16 +191,56 @@ class Killed:
         command = [sys.executable, str(Path(__file__).resolve().parents[1] / "render.py"), str(self._path)]
         command += ["--checkpoint", str(path), "--checkpoint-interval", str(INTERVAL)]
         command += [word for name, value in settings.items() for word in ("--set", f"{name}={value}")]
+        return self._watched(command, path, seconds)[0]
+
+    def _watched(self, command: list[str], path: Path, seconds: float | None) -> tuple[int, str]:
+        """The exit code of `command` and what it printed."""
         before = _written_at(path)
-        with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
             while seconds is not None and process.poll() is None and _written_at(path) == before:
                 time.sleep(0.01)
             if seconds is not None:
                 time.sleep(seconds)
                 process.kill()
-            errors = process.communicate()[1]
+            printed, errors = process.communicate()
         self.outcome.goings_on += "goes on from" in errors
-        return process.returncode
+        return process.returncode, printed
+
+
+class KilledBlender(Killed):
+    """Renders of a file of Blender's by processes of its own, killed."""
+
+    def __init__(self, path: Path, variant: str, folder: Path):
+        self._path, self._folder, self._variant = path, folder, variant
+        self.outcome = KillOutcome(path.name, variant)
+        self._sample_count = 32
+        self._alone()  # kernels are compiled
+        for _ in range(2):  # few samples say little of how long many take
+            seconds = self._alone()[1]["render"]
+            self._sample_count = max(32, int(self._sample_count * BLENDER_SECONDS / seconds))
+        self._expected, _ = self._alone()
+
+    def _alone(self) -> tuple[Any, dict[str, float]]:
+        """The film of a render that nobody kills, and the seconds of its parts."""
+        from raybatch_addon.core.checkpoint.file import load_kept
+
+        for each in self._folder.iterdir():
+            each.unlink()
+        code, printed = self._watched(self._process(0), self._folder, None)
+        if code:
+            raise UsageError(f"{self._path} could not be rendered: the process ended with exit code {code}")
+        (self._checkpoint,) = self._folder.iterdir()
+        seconds = next(line for line in printed.splitlines() if line.startswith("{"))
+        return load_kept(self._checkpoint).film(), json.loads(seconds)
+
+    def _process(self, seed: int) -> list[str]:
+        settings = {**self._schedule(seed), **VARIANTS[self._variant], "device": "cpu"}
+        settings["sample_count"] = self._sample_count
+        arguments = [Path(__file__).resolve().parents[2], self._path, self._folder / "film", json.dumps(settings)]
+        return [sys.executable, "-c", BLENDER, *map(str, arguments)]
+
+    def _start(self, path: Path, seconds: float | None, seed: int) -> int:
+        return self._watched(self._process(seed), path, seconds)[0]
 
 
 def _scenes_of_tests(folder: Path) -> list[Path]:
@@ -213,7 +282,11 @@ def run(options: argparse.Namespace, folders: OutputFolders, standard_output: IO
         for number, (path, variant) in enumerate((path, name) for path in scenes for name in options.variants):
             folder = Path(scratch, str(number))
             folder.mkdir()
-            killed.append(Killed(session, path, variant, folder))
+            killed.append(
+                KilledBlender(path.absolute(), variant, folder)
+                if path.suffix == ".blend"
+                else Killed(session, path, variant, folder)
+            )
         while (left := options.kills - sum(each.outcome.kills for each in killed)) > 0:
             least = min(killed, key=lambda each: each.outcome.kills)
             least.film(random, min(left, options.kills_a_film))
@@ -259,7 +332,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="kill_renders.py", description=DESCRIPTION, formatter_class=argparse.RawTextHelpFormatter
     )
-    parser.add_argument("scenes", nargs="*", type=Path, metavar="SCENE.scene.npz")
+    parser.add_argument("scenes", nargs="*", type=Path, metavar="SCENE")
     parser.add_argument("--kills", type=int, default=300, metavar="N", help="default: 300")
     parser.add_argument("--kills-a-film", type=int, default=8, metavar="N", help="at most; default: 8")
     parser.add_argument("--variants", nargs="+", choices=VARIANTS, default=list(VARIANTS), metavar="NAME")
