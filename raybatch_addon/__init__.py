@@ -45,8 +45,7 @@ def unregister() -> None:
     from .blender import finals
 
     finals.end_all()
-    viewports = _module_there("blender.viewport.viewport")
-    if viewports is not None:
+    if (viewports := _module_there("blender.viewport.viewport")) is not None:
         viewports.end_viewports()
     if finals.wait_for_end(_END_SECONDS):
         _unregister()
@@ -63,12 +62,12 @@ def _unregister() -> None:
     from .blender import finals, missing, reports, warm_up
 
     atexit.unregister(_unregister_at_exit)
+    if (viewports := _module_there("blender.viewport.viewport")) is not None:
+        viewports.close_viewports()  # nobody knows their threads once Blender has dropped their engines
     bpy.utils.unregister_class(engine.RayBatchRenderEngine)
     ui.unregister()
     finals.unregister()
     warm_up.finish_warm_up()
-    if (viewports := _module_there("blender.viewport.viewport")) is not None:
-        viewports.close_viewports()
     if (sessions := _module_there("blender.sessions")) is not None:
         sessions.close_all()
     for name, forget in (

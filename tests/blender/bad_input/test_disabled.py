@@ -140,6 +140,26 @@ assert_gone()
 assert_renders()
 """
 
+UPDATED_IN_THE_RENDER = """
+made(ENDLESS)
+viewport = shown()
+begun, said = threading.Event(), []
+frame.progress_listeners.append(lambda progress: progress.stage == "render" and begun.set())
+thread = threading.Thread(target=lambda: said.append(rendered()))
+thread.start()
+assert begun.wait(120)
+addon.unregister()
+thread.join()
+assert "RayBatch was disabled" in said[0], said
+assert_gone()
+for name in [*sys.modules]:
+    if name.startswith("raybatch_addon"):
+        del sys.modules[name]
+import raybatch_addon as addon
+from raybatch_addon.blender import finals, frame, reports, sessions
+assert_renders()
+"""
+
 KEPT = """
 scene = made(ENDLESS)
 scene.raybatch_checkpoint.use = True
@@ -175,6 +195,11 @@ def test_disabled_from_another_thread_ends_the_render_and_the_viewport(stage, tm
 @pytest.mark.parametrize("place", ["render_init", "render_pre", "scene", "progress"])
 def test_disabled_by_the_render_itself_goes_when_that_has_ended(place, tmp_path):
     assert_well(FROM_THE_RENDER, tmp_path, place)
+
+
+def test_updated_during_a_render_renders_by_its_new_modules(tmp_path):
+    """As Blender updates extensions: what was imported is forgotten."""
+    assert_well(UPDATED_IN_THE_RENDER, tmp_path)
 
 
 def test_disabled_between_frames_ends_the_animation(tmp_path):
