@@ -30,6 +30,7 @@ ROOMS = (
     "core/native",
     "core/settings",
     "core/device",
+    "core/kept_arrays.py",
     "core/rays.py",
     "core/scene",
     "core/denoise",

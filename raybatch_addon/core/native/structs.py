@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import ctypes
 import functools
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import warp as wp
+
+# Copies what has a name to a device: (name, values, type of Warp, device); for records see `upload_records`
+Upload = Callable[[str, np.ndarray, Any, wp.Device], wp.array]
 
 _TYPES = {"int64": "long long", "int32": "int", "float32": "float", "uint8": "unsigned char"}
 _LANES = 8  # floats of a box
@@ -44,6 +48,19 @@ def upload_struct(value: Any, device: wp.Device) -> wp.array:
     Warp makes it from a list by way of a NumPy type of all its fields, which takes a millisecond or more.
     """
     return _copied(ctypes.addressof(value.__ctype__()), 1, value._cls, device)
+
+
+def uploaded(_name: str, values: np.ndarray, dtype: Any, device: wp.Device) -> wp.array:
+    """A new array on `device` of `values`, of numbers or records: the plain `Upload`."""
+    if values.dtype.names:
+        return upload_records(values, dtype, device)
+    return wp.array(values, dtype=dtype, device=device)
+
+
+def bytes_of_struct(value: Any) -> np.ndarray:
+    """What one instance of a Warp struct is in memory, uint8; the arrays in it are their addresses."""
+    made = value.__ctype__()
+    return np.frombuffer(ctypes.string_at(ctypes.addressof(made), ctypes.sizeof(made)), np.uint8)
 
 
 def arrays_in(value: Any) -> dict[int, int]:

@@ -187,13 +187,16 @@ def _upload_attributes(scene: Scene, inputs: InputData, device: wp.Device) -> No
 
 
 def inverses(transform: np.ndarray) -> np.ndarray:
-    """Inverses of transforms, float32, shape [n, 3, 4]; 0 for a singular transform."""
+    """Inverses of transforms, float32, shape [n, 3, 4]; 0 for a singular transform. Each has the same bits whatever
+    others there are.
+    """
     matrix = np.asarray(transform, np.float64)
     result = np.zeros_like(matrix)
     usable = np.abs(np.linalg.det(matrix[:, :, :3])) > 0
     linear = np.linalg.inv(matrix[usable, :, :3])
     result[usable, :, :3] = linear
-    result[usable, :, 3] = -np.einsum("nij,nj->ni", linear, matrix[usable, :, 3])
+    x, y, z = (matrix[usable, None, axis, 3] for axis in range(3))
+    result[usable, :, 3] = -(linear[:, :, 0] * x + linear[:, :, 1] * y + linear[:, :, 2] * z)
     return result.astype(np.float32)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from ..errors import SceneError
-from ..native.structs import upload_struct
+from ..native.structs import Upload, bytes_of_struct, uploaded
 from ..scene.description import Scene
 from ..scene.geometry import Geometry
 from ..scene.program import Program, ProgramFeatures
@@ -58,34 +58,37 @@ def upload_programs(
     images: ImageTable,
     device: wp.Device,
     inputs: InputData | None = None,
+    upload: Upload = uploaded,
 ) -> NodeData:
     """`programs` and their inputs from `scene`; all arrays are empty where there are no programs.
 
-    `inputs`: those of objects that are no instances.
+    `inputs`: those of objects that are no instances. `upload`: copies each array to the device.
     """
     data = NodeData()
     if not features:
         return data
     code, constants, first = encode(programs, features.ops)
-    data.code = wp.array(code, dtype=int, device=device)
-    data.constants = wp.array(constants, dtype=float, device=device)
-    data.program_first = wp.array(first, dtype=int, device=device)
+    data.code = upload("code", code, int, device)
+    data.constants = upload("constants", constants, float, device)
+    data.program_first = upload("program_first", first, int, device)
     data.geometry = geometry
     data.images = images
     data.inputs = upload_inputs(scene, features.ops, device) if inputs is None else inputs
     coat = not {"layer_coat", "layer_specular"}.isdisjoint(features.ops)
     film = not {"layer_film", "layer_thin_glass_film"}.isdisjoint(features.ops)
     data.albedo = upload_tables(
-        device, reflection=coat, coat=coat, glass=False, sheen="layer_sheen" in features.ops, film=film
+        device, reflection=coat, coat=coat, glass=False, sheen="layer_sheen" in features.ops, film=film, upload=upload
     )
     return data
 
 
-def store_programs(*tables: NodeData, device: wp.Device) -> list[wp.array]:
-    """Write each of `tables` into the device's memory, where ops out of line read it; the arrays have to be kept."""
+def store_programs(*tables: NodeData, device: wp.Device, upload: Upload = uploaded) -> list[wp.array]:
+    """Write each of `tables` into the device's memory by `upload`, where ops out of line read it; the arrays have to be
+    kept.
+    """
     kept = []
-    for table in tables:
-        kept.append(upload_struct(table, device))
+    for number, table in enumerate(tables):
+        kept.append(upload(str(number), bytes_of_struct(table), wp.uint8, device))
         table.stored = kept[-1].ptr
     return kept
 

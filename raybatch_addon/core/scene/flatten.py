@@ -133,7 +133,8 @@ def is_mirrored_where_baked(scene: Scene) -> np.ndarray:
         return np.zeros(0, bool)
     uses = np.bincount(instances.mesh, minlength=len(scene.meshes))
     baked = (uses[instances.mesh] == 1) & ~apart(scene)
-    return baked & (np.linalg.det(np.asarray(instances.transform, np.float64)[:, :, :3]) < 0)
+    baked[baked] = np.linalg.det(np.asarray(instances.transform, np.float64)[baked, :, :3]) < 0
+    return baked
 
 
 @dataclass(frozen=True)

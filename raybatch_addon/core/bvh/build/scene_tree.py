@@ -12,6 +12,7 @@ import warp as wp
 
 from ...device.devices import free_memory
 from ...errors import OutOfMemoryError, SceneError
+from ...kept_arrays import KeptArrays
 from ...scene.flatten import FlatGeometry
 from ...scene.geometry import Geometry, mat34
 from ..node import VECTOR_BYTES, Layout, aligned_empty
@@ -47,6 +48,7 @@ class BuiltTree:
     top_first: list[int] = field(default_factory=lambda: [0])
     top_room: int = 0  # vectors behind the mesh trees' nodes, for the nodes of the top level
     statistics: dict[str, Any] = field(default_factory=dict)
+    arrays: KeptArrays = field(default_factory=KeptArrays, repr=False)  # those of entries
 
     @property
     def whole_count(self) -> int:
@@ -227,25 +229,26 @@ def _assemble(
     entry_node, entry_centre, top_first = _nodes_of_entries(meshes, mesh_of, listed.range)
     triangle_first = np.cumsum([0, *(mesh.triangles.size for mesh in meshes)])
 
-    def upload(values: np.ndarray, dtype: type) -> wp.array:
-        host = np.ascontiguousarray(values, np.float32 if dtype in (wp.vec3, mat34) else np.int32)
-        return wp.array(host, dtype=dtype, device=device)
+    def upload(name: str, values: np.ndarray, dtype: type = int) -> None:
+        host = np.ascontiguousarray(values, np.int32 if dtype is int else np.float32)
+        setattr(tree, name, built.arrays.upload(name, host, dtype, device))
 
-    tree.entry_node = upload(entry_node // vectors_per_node, int)
-    tree.entry_triangle = upload(triangle_first[mesh_of] // vectors_per_block, int)
-    tree.entry_centre = upload(entry_centre, wp.vec3)
-    tree.entry_from_world = upload(entries.from_world[source], mat34)
-    tree.entry_instance = upload(entries.instance[source], int)
-    tree.entry_visibility = upload(entries.visibility[source], int)
+    upload("entry_node", entry_node // vectors_per_node)
+    upload("entry_triangle", triangle_first[mesh_of] // vectors_per_block)
+    upload("entry_centre", entry_centre, wp.vec3)
+    upload("entry_from_world", entries.from_world[source], mat34)
+    upload("entry_instance", entries.instance[source])
+    upload("entry_visibility", entries.visibility[source])
     # further ones are no groups: what deforms is not baked
     further = np.full(len(mesh_of) - len(entries.mesh), entries.merged_first[-1])
-    tree.merged_first = upload(np.concatenate([entries.merged_first, further]), int)
-    tree.merged_instance = upload(entries.merged_instance, int)
-    tree.merged_triangle_first = upload(entries.merged_triangle_first, int)
+    upload("merged_first", np.concatenate([entries.merged_first, further]))
+    upload("merged_instance", entries.merged_instance)
+    upload("merged_triangle_first", entries.merged_triangle_first)
     if flat.motion:
         steps = np.array([mesh.step_units for mesh in meshes])[mesh_of]
-        tree.entry_motion, tree.entry_deform = upload(entries.motion[source], int), upload(steps, int)
-        tree.motion_keys = wp.array(entries.keys.reshape(-1), dtype=float, device=device)
+        upload("entry_motion", entries.motion[source])
+        upload("entry_deform", steps)
+        upload("motion_keys", entries.keys.reshape(-1), float)
         tree.motion_steps = entries.keys.shape[1]
         tree.deform_steps = flat.motion.vertex_steps
     tree.entry_count = len(mesh_of)

@@ -28,6 +28,7 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 
+from ...native.structs import Upload, uploaded
 from .fresnel import fresnel_dielectric
 from .ggx import ggx_slope
 from .sheen import load_sheen
@@ -87,8 +88,10 @@ def _average_over_cosines(table: np.ndarray) -> np.ndarray:
     return means
 
 
-def upload_tables(device, reflection: bool, coat: bool, glass: bool, sheen: bool, film: bool = False) -> AlbedoTables:
-    """The tables that are asked for, on `device`. A coat needs `reflection` too."""
+def upload_tables(
+    device, reflection: bool, coat: bool, glass: bool, sheen: bool, film: bool = False, upload: Upload = uploaded
+) -> AlbedoTables:
+    """The tables that are asked for, on `device`, each copied there by `upload`. A coat needs `reflection` too."""
     wanted = {
         "reflection": reflection,
         "reflection_average": reflection,
@@ -103,7 +106,7 @@ def upload_tables(device, reflection: bool, coat: bool, glass: bool, sheen: bool
     tables = AlbedoTables()
     for name, there in wanted.items():
         values = load_table(name) if there else np.zeros((0,) * dimensions.get(name, 1), np.float32)
-        setattr(tables, name, wp.array(values, dtype=float, device=device))
+        setattr(tables, name, upload(f"albedo {name}", values, float, device))
     return tables
 
 

@@ -15,7 +15,7 @@ import warp as wp
 from ...device.codegen.local_arrays import Unset
 from ...errors import SceneError
 from ...native.build import native_source
-from ...native.structs import record_type, upload_records
+from ...native.structs import Upload, record_type, uploaded
 from ...scene.description import Closure, ClosureKind, Material
 from .albedo import AlbedoTables, upload_tables
 
@@ -249,8 +249,10 @@ class Bsdf(NamedTuple):
     holdout: wp.Function  # (closures, first, end) -> float: share of the film's alpha that the surface takes away
 
 
-def upload_materials(materials: Sequence[Material], features: ClosureFeatures, device) -> MaterialTable:
-    """The table of `materials` on `device`.
+def upload_materials(
+    materials: Sequence[Material], features: ClosureFeatures, device, upload: Upload = uploaded
+) -> MaterialTable:
+    """The table of `materials` on `device`, each of its arrays copied there by `upload`.
 
     Roughness and the indices of refraction are brought into their ranges. Raises `SceneError` for a value that is not
     finite or a negative weight, `ValueError` for a kind that `features` lacks.
@@ -272,8 +274,8 @@ def upload_materials(materials: Sequence[Material], features: ClosureFeatures, d
     rows["transmits"] = [_has_some(material, TRANSMISSIVE_KINDS) for material in materials]
     rows["is_clear"] = [_is_clear(material) for material in materials]
     rows["bin"] = material_bins(materials)
-    table.records = upload_records(rows, MaterialRecord, device)
-    table.closures = upload_records(records, ClosureRecord, device)
+    table.records = upload("material_records", rows, MaterialRecord, device)
+    table.closures = upload("closure_records", records, ClosureRecord, device)
     table.albedo = upload_tables(
         device,
         reflection=features.coats or features.has(*REFLECTION_KINDS),
@@ -281,6 +283,7 @@ def upload_materials(materials: Sequence[Material], features: ClosureFeatures, d
         glass=features.has(_K.GLASS, _K.FACET_HAIR),
         sheen=features.has(_K.SHEEN),
         film=features.has(_K.THIN_FILM),
+        upload=upload,
     )
     return table
 

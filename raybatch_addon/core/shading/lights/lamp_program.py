@@ -13,6 +13,7 @@ import warp as wp
 
 from ...device.codegen.local_arrays import Unset
 from ...float32 import LARGEST
+from ...native.structs import Upload, uploaded
 from ...programs.inputs_data import InputData, inverses, upload_camera_inputs
 from ...programs.op import NodeData
 from ...programs.ops.values.finite import finite_or_zero
@@ -41,14 +42,22 @@ def lamp_transforms(scene: Scene) -> np.ndarray:
 
 
 def upload_lamp_programs(
-    scene: Scene, features: ProgramFeatures, geometry: Geometry, images: ImageTable, device: wp.Device
+    scene: Scene,
+    features: ProgramFeatures,
+    geometry: Geometry,
+    images: ImageTable,
+    device: wp.Device,
+    upload: Upload = uploaded,
 ) -> NodeData:
-    """The programs of all lights of `scene`, and their inputs; empty where there are none."""
+    """The programs of all lights of `scene`, each of their arrays copied by `upload`, and their inputs; empty where
+    there are none.
+    """
     if not features:
         return NodeData()
     inputs = upload_camera_inputs(scene, device)
     _upload_lamp_inputs(inputs, scene, device)
-    return upload_programs([light.program for light in scene.lights], features, scene, geometry, images, device, inputs)
+    programs = [light.program for light in scene.lights]
+    return upload_programs(programs, features, scene, geometry, images, device, inputs, upload)
 
 
 def _upload_lamp_inputs(inputs: InputData, scene: Scene, device: wp.Device) -> None:

@@ -13,6 +13,7 @@ from ...native.structs import record_type, upload_records, upload_struct
 from ...scene.description import Light, LightKind, Scene, Visibility
 from ...scene.geometry import Geometry
 from .choice_table import ChoiceTable
+from .emissive.arrays import KeepArrays, set_triangles
 from .emitters import (
     CELL,
     EmissiveCells,
@@ -121,6 +122,7 @@ def upload_lights(
     geometry: Geometry | None = None,
     cells: EmissiveCells | None = None,
     keep: KeepTree = lambda key, make: make(),
+    keep_triangles: KeepArrays = lambda key, make: make(),
 ) -> UploadedLights:
     """The emitters of `scene` on `device`; raises `SceneError` for emission that is not finite.
 
@@ -135,6 +137,7 @@ def upload_lights(
         cells: those of volumes; the first is the emitter behind the last light without mesh.
         keep: returns the tree over emitters that `make` makes, or one that it made before of the same arrays, if they
             are frozen, and values.
+        keep_triangles: the same for what the table has of emissive triangles and of instances.
     """
     if triangles is None:
         triangles = find_emissive_triangles(scene, emitted)
@@ -164,21 +167,14 @@ def upload_lights(
     table.suns = upload(suns, int)
     table.tree, table.tree_leaf = box_tree(*_boxes(records[placed]), placed, device)
     table.tree_visibility = int(np.bitwise_or.reduce(records["visibility"][placed], initial=0))
-    # millions of numbers that nobody writes to: on the CPU they are where they are
-    table.triangle_instance = wp.array(triangles.instance, dtype=int, device=device, copy=False)
-    table.triangle_primitive = wp.array(triangles.primitive, dtype=int, device=device, copy=False)
-    table.triangle_radiance = wp.array(triangles.radiance, dtype=wp.vec3, device=device, copy=False)
-    table.triangle_program = upload(triangles.program if triangles.program.any() else triangles.program[:0], int)
+    # the rays that see an instance; its other bits say whose light it blocks or catches
+    visibility = scene.instances.visibility.astype(np.int32) & int(Visibility.ALL)
+    set_triangles(table, triangles, visibility, device, keep_triangles)
     table.world_emitter = -1
     if world is not None:
         table.world_emitter = table.emitter_count - 1
         table.world_visibility = int(scene.world.visibility)
         table.world = world.table
-    has_triangles = len(triangles) > 0
-    table.instance_first = upload(triangles.instance_first if has_triangles else np.zeros(0, np.int32), int)
-    # the rays that see an instance; its other bits say whose light it blocks or catches
-    visibility = scene.instances.visibility.astype(np.int32) & int(Visibility.ALL)
-    table.instance_visibility = upload(visibility if has_triangles else np.zeros(0, np.int32), int)
     choice = _choice_table(table, records, strength, triangles, scene=scene, geometry=geometry, world=world, keep=keep)
     upload_links(scene, choice, cells, triangles.instance, device)
     table.choice = upload_struct(choice, device)

@@ -13,8 +13,8 @@ from ...bvh.build.scene_tree import BuiltTree
 from ...bvh.traverse.reference import ReferenceTree
 from ...bvh.tree import Tree
 from ...bvh.treelets.tree import TreeletTree
-from ...native.structs import arrays_in
-from ...programs.inputs_data import upload_camera_inputs, upload_inputs, with_camera
+from ...native.structs import Upload, arrays_in
+from ...programs.inputs_data import upload_camera_inputs, with_camera
 from ...programs.parts import transparent_parts
 from ...programs.table import store_programs, upload_programs
 from ...scene.description import ClosureKind, Scene
@@ -26,6 +26,7 @@ from ...shading.bsdf.materials import material_bins
 from ...shading.camera import CameraData, upload_camera
 from ...shading.images.image_upload import UploadedImages
 from ...shading.lights.choice_table import choice_tree
+from ...shading.lights.emissive.arrays import triangle_arrays
 from ...shading.lights.emitters import emits_light, find_emissive_triangles
 from ...shading.lights.lamp_program import upload_lamp_programs
 from ...shading.lights.table import UploadedLights, upload_lights
@@ -36,9 +37,10 @@ from ..passes.state import PassInputs, upload_pass_inputs
 from ..plan.plan import Choice, TracingPlan
 from ..plan.tracing import Tracing
 from ..volumes.upload import UploadedVolumes, upload_volumes
-from .scene_cache import BuiltGeometry, GeometryRequest, PagedTree, SceneCache
+from .paged_tree import PagedTree
+from .scene_cache import BuiltGeometry, GeometryRequest, SceneCache
 from .shading_data import SceneData
-from .unchanged import emission_key, inputs_key
+from .unchanged import emission_key
 from .world_cache import WorldCache
 
 
@@ -82,6 +84,10 @@ class DeviceScene:
         `tree`, `materials`, `volumes`, `lights`.
         """
         shading = shading or features
+
+        def keep(of: str) -> Upload:
+            return lambda name, *given: cache.arrays.upload(f"{of}: {name}", *given)
+
         on_stage("images")
         data = SceneData()
         built = treelets = None
@@ -92,7 +98,9 @@ class DeviceScene:
             kept = cache.get(scene, request, device)
             on_stage("materials")
             data.geometry, built, treelets = kept.geometry, kept.built, kept.treelets
-            data.materials = upload_materials(scene.materials, ClosureFeatures(features.closures), device)
+            data.materials = upload_materials(
+                scene.materials, ClosureFeatures(features.closures), device, keep("materials")
+            )
             programs = [material.program for material in scene.materials]
             if features.transparency:
                 passing = transparent_parts([None if each.shadow_opaque else each.program for each in scene.materials])
@@ -103,12 +111,9 @@ class DeviceScene:
             if not features.programs:
                 cache.inputs.clear()
             else:
-                ops = features.programs.ops
-                key = inputs_key(scene, ops, device.alias)
-                kept_inputs = cache.inputs.get(key, functools.partial(upload_inputs, scene, ops, device))
-                inputs = with_camera(kept_inputs, scene)
+                inputs = with_camera(cache.inputs.get(scene, features.programs.ops, device), scene)
             data.nodes = upload_programs(
-                programs, features.programs, scene, data.geometry, images.table, device, inputs
+                programs, features.programs, scene, data.geometry, images.table, device, inputs, keep("surfaces")
             )
         data.world_nodes = upload_programs(
             [scene.world.program],
@@ -118,11 +123,14 @@ class DeviceScene:
             images.table,
             device,
             upload_camera_inputs(scene, device),
+            keep("world"),
         )
-        data.lamp_nodes = upload_lamp_programs(scene, features.lamp_program, data.geometry, images.table, device)
+        data.lamp_nodes = upload_lamp_programs(
+            scene, features.lamp_program, data.geometry, images.table, device, keep("lamps")
+        )
         stored = []
         if shading.programs.apart:
-            stored = store_programs(data.nodes, data.world_nodes, data.lamp_nodes, device=device)
+            stored = store_programs(data.nodes, data.world_nodes, data.lamp_nodes, device=device, upload=keep("stored"))
         volumes = None
         if features.volumes:
             on_stage("volumes")
@@ -147,6 +155,7 @@ class DeviceScene:
             geometry=data.geometry,
             cells=volumes.cells if volumes else None,
             keep=cache.light_tree.get,
+            keep_triangles=cache.emissive_arrays.get,
         )
         data.lights = lights.table
         data.world = wp.vec3(*scene.world.radiance)
@@ -195,6 +204,9 @@ class DeviceScene:
         lights, images = self.lights, self.images
         whole = [data, self.camera, self.pass_inputs, self.stored, images.table, lights.choice]
         kept = [data.geometry, data.nodes.inputs, data.lights.world, choice_tree(lights.choice), images.keep]
+        kept += [triangle_arrays(data.lights), data.materials, self.stored]
+        for nodes in (data.nodes, data.world_nodes, data.lamp_nodes):
+            kept += [nodes.code, nodes.constants, nodes.program_first, nodes.albedo]
         if volumes:
             whole += [volumes.data, volumes.stored, volumes.surfaces]
             kept += [volumes.data.grids, volumes.data.bounds]

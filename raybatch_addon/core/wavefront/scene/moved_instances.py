@@ -14,10 +14,11 @@ import warp as wp
 
 from ...bvh.build.scene_tree import BuiltTree, refit_moved
 from ...device.bulk import digest_of
+from ...kept_arrays import overwrite_changed, overwrite_rows
 from ...scene.description import Instances, Mesh, Scene
 from ...scene.flatten import IDENTITY, FlatGeometry, baked_mesh
 from ...scene.frozen import Same
-from ...scene.geometry import Geometry, mat34
+from ...scene.geometry import Geometry
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,8 @@ def follow_moved(
         _move(geometry, flat, i, scene.meshes[instances.mesh[i]], now[i])
     transform = np.array(now, np.float32).reshape(-1, 3, 4)
     transform[is_baked] = IDENTITY
-    _overwrite(geometry.instance_transform, 0, transform, mat34)
+    changed = np.flatnonzero((transform != flat.instance_transform).any((1, 2)))
+    overwrite_changed(geometry.instance_transform, changed, transform)
     flat = replace(flat, instance_transform=transform)
     trees = {
         i: _triangles(flat, found)
@@ -109,13 +111,7 @@ def _move(geometry: Geometry, flat: FlatGeometry, instance: int, mesh: Mesh, tra
     """Bring the vertices and normals of a baked instance to their places."""
     place = flat.instance_mesh[instance]
     part = baked_mesh(mesh, transform)
-    _overwrite(geometry.positions, int(flat.mesh_vertex_first[place]), part.positions, wp.vec3)
+    overwrite_rows(geometry.positions, int(flat.mesh_vertex_first[place]), np.asarray(part.positions, np.float32))
     if part.corner_normals is not None:
         first = 3 * int(flat.mesh_triangle_first[place])
-        _overwrite(geometry.corner_normals, first, part.corner_normals.reshape(-1, 3), wp.vec3)
-
-
-def _overwrite(array: wp.array, first: int, values: np.ndarray, dtype: type) -> None:
-    if len(values):
-        source = wp.array(np.ascontiguousarray(values, np.float32), dtype=dtype, device="cpu", copy=False)
-        wp.copy(array, source, dest_offset=first, count=len(values))
+        overwrite_rows(geometry.corner_normals, first, np.asarray(part.corner_normals, np.float32).reshape(-1, 3))

@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import warp as wp
@@ -17,17 +16,16 @@ from ...bvh.build.scene_tree import BuiltTree, build_scene_tree, refit_scene_tre
 from ...bvh.memory import GeometrySize, check_counts, check_memory, explained_memory_errors
 from ...bvh.node import Layout
 from ...bvh.pages.build import build_paged_scene
-from ...bvh.pages.paged_scene import PagedScene
 from ...bvh.pages.residency import Residency, staging_bytes_of
 from ...bvh.traverse.reference import BuiltReference, build_reference
-from ...bvh.tree import Tree
 from ...bvh.treelets.cut import CutRule
 from ...bvh.treelets.tree import TreeletTree, cut_scene_tree
 from ...device.bulk import digest_of
 from ...device.devices import free_memory
 from ...displacement.displaced import DisplacedMeshes
 from ...displacement.evaluate import Move
-from ...programs.inputs_data import InputData, bytes_of
+from ...kept_arrays import KeptArrays
+from ...programs.inputs_data import bytes_of
 from ...scene.description import Image, Scene
 from ...scene.flatten import FlatGeometry, flatten
 from ...scene.frozen import Same
@@ -40,35 +38,14 @@ from ...shading.lights.emitters import EmissiveTriangles
 from ..plan.plan import Method, TracingPlan, cut_rule
 from ..volumes.upload import VolumeCache
 from .fingerprint import Fingerprint
+from .kept_inputs import KeptInputs
 from .moved_instances import Placed, follow_moved
-from .unchanged import Last, LastSmall
+from .paged_tree import PagedTree
+from .unchanged import LastSmall
 from .world_cache import WorldCache
 
 # Share of a device's free memory that images may take: geometry, rays and the film need the rest
 IMAGE_SHARE = 0.5
-
-
-@dataclass
-class PagedTree:
-    """A scene beyond memory, and what of it is on the device."""
-
-    scene: PagedScene
-    residency: Residency
-
-    @property
-    def tree(self) -> Tree:
-        """What stays on the device."""
-        return self.scene.tree
-
-    @property
-    def box(self) -> np.ndarray:
-        """Two corners that hold all surfaces [m], float64, shape [2, 3]."""
-        return self.scene.box
-
-    @property
-    def statistics(self) -> dict[str, Any]:
-        """What the trees are."""
-        return self.scene.statistics
 
 
 BuiltGeometry = BuiltReference | BuiltTree | PagedTree
@@ -136,8 +113,10 @@ class SceneCache:
         self.images = ImageCache()
         self.world = WorldCache()
         self.volumes = VolumeCache()
-        self.inputs: Last[InputData] = Last()  # what programs of surfaces read of the scene
+        self.arrays = KeptArrays()  # of programs and materials
+        self.inputs = KeptInputs()  # what programs of surfaces read of the scene
         self.emissive: LastSmall[EmissiveTriangles] = LastSmall(lambda made: made.bytes)
+        self.emissive_arrays: LastSmall[list[wp.array]] = LastSmall(_bytes_of_arrays)  # the same on the device
         self.light_tree: LastSmall[ChoiceTable] = LastSmall(choice_tree_bytes)
         self._displaced = DisplacedMeshes()
         self._last: Kept | None = None
@@ -148,8 +127,10 @@ class SceneCache:
         self.images.clear()
         self.world.clear()
         self.volumes.clear()
+        self.arrays.clear()
         self.inputs.clear()
         self.emissive.clear()
+        self.emissive_arrays.clear()
         self.light_tree.clear()
         self._displaced.clear()
         self._last = None
@@ -163,6 +144,8 @@ class SceneCache:
         kept = (
             last.device_bytes if last else 0,
             bytes_of(inputs) if inputs else 0,
+            self.arrays.bytes,
+            self.emissive_arrays.bytes,
             self.light_tree.bytes,
             self.volumes.device_bytes,
         )
@@ -272,6 +255,10 @@ class SceneCache:
             if isinstance(last.built, BuiltTree):
                 last.built.note(0, 0, start)
             return last
+
+
+def _bytes_of_arrays(arrays: list[wp.array]) -> int:
+    return sum(int(each.capacity) for each in arrays)
 
 
 def _geometry_of(scene: Scene, request: GeometryRequest) -> tuple[list[np.ndarray | None], tuple]:

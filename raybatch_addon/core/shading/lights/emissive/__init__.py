@@ -1,0 +1,1 @@
+"""Emissive triangles on the device, as the table of lights has them."""

@@ -1,0 +1,71 @@
+"""What a device gets anew by kind of edit, in bytes and launches, and that every film is that of a new session."""
+
+import pytest
+
+from raybatch_addon.core.bvh.build import mesh_tree
+from raybatch_addon.core.session import Session
+from raybatch_addon.core.settings.settings import RenderSettings
+from raybatch_addon.core.wavefront.scene.device_scene import DeviceScene
+from tests.core.wavefront.scene.edited import EDITS, edited_scene
+from tests.support.under_test import DEVICE
+from tests.support.uploads import counted_uploads
+
+pytestmark = pytest.mark.usefixtures("general_kernels")
+
+SETTINGS = RenderSettings(device=DEVICE, sample_count=1, bounce_max=2, spatial_splits="OFF")
+# Records of lamps, the sky and the camera, and the table of the choice among emitters: they depend on no scene's size
+SMALL = 2_000
+# Kernels that look at emitters again: their brightness, and the tree over them
+OF_EMITTERS = ("_kernel_of_all", "estimate", "bound_triangles_kernel")
+KEEPS_EMITTERS = ("camera", "value", "place", "place in world space", "world", "mesh")
+
+
+@pytest.fixture
+def edit_of(monkeypatch):
+    """What edits cost a session that has rendered a scene: (bytes, kernels that were launched)."""
+    monkeypatch.setattr(mesh_tree, "SAH_GROWTH_MAX", 1e9)  # a tree of few triangles may get worse by much
+    counted, build, found = counted_uploads(monkeypatch), DeviceScene.build, []
+
+    def counting(*of, **more):
+        counted.clear()
+        made = build(*of, **more)
+        found.append((counted.bytes, set(counted.launches)))
+        return made
+
+    monkeypatch.setattr(DeviceScene, "build", staticmethod(counting))
+
+    def cost(scene, kind):
+        session, edited = Session(DEVICE), EDITS[kind](scene)
+        session.render(scene, SETTINGS)
+        film = session.render(edited, SETTINGS)
+        spent, back = found[-1], session.render(scene, SETTINGS)
+        for each, of in ((film, edited), (back, scene)):
+            fresh = Session(DEVICE).render(of, SETTINGS)
+            assert each.passes["Combined"].tobytes() == fresh.passes["Combined"].tobytes()
+        return spent
+
+    return cost
+
+
+@pytest.mark.parametrize("reads_places", [False, True])
+@pytest.mark.parametrize("kind", EDITS)
+def test_an_edit_uploads_what_it_changes(edit_of, kind, reads_places):
+    small, kernels = edit_of(edited_scene(reads_places=reads_places), kind)
+    looks_at_emitters = any(name.startswith(OF_EMITTERS) for name in kernels)
+    assert looks_at_emitters == (kind not in KEEPS_EMITTERS)
+    if kind in ("camera", "value", "world"):
+        assert small < SMALL and not kernels
+        large, _ = edit_of(edited_scene(grid=30, balls=90, reads_places=reads_places), kind)
+        assert large == small, "whatever the size of the scene"
+
+
+@pytest.mark.parametrize("reads_places", [False, True])
+@pytest.mark.parametrize("kind", ["place", "place in world space"])
+def test_a_moved_instance_uploads_its_maps_and_the_top_level(edit_of, kind, reads_places):
+    """The top level is built anew: nodes and an order, by instance. No other instance's maps are uploaded, nor what
+    programs read of triangles.
+    """
+    few, many = (edit_of(edited_scene(grid=8, balls=count, reads_places=reads_places), kind)[0] for count in (30, 230))
+    assert (many - few) / 200 < 64
+    larger, _ = edit_of(edited_scene(grid=40, balls=30, reads_places=reads_places), kind)
+    assert larger == few, "whatever the count of triangles"
