@@ -13,7 +13,16 @@ import warp as wp
 from ..errors import DeviceError, OutOfMemoryError, RayBatchError
 
 _WARP = Path(wp.__file__).parent
-_NO_MEMORY = ("failed to allocate", "out of memory")
+_NO_MEMORY = "failed to allocate"
+# What Warp calls failures of launches, copies and contexts
+_STOPPED = (
+    "warp cuda error",
+    "warp copy error",
+    "warp error",
+    "error launching",
+    "launch failure",
+    "cuda driver error",
+)
 _Given = ParamSpec("_Given")
 _Returned = TypeVar("_Returned")
 
@@ -32,24 +41,32 @@ def names_failures(method: Callable[_Given, _Returned]) -> Callable[_Given, _Ret
 
 @contextlib.contextmanager
 def named_failures(device: wp.Device) -> Iterator[None]:
-    """Errors that Warp raises in here, of launches, copies and allocations on `device`, are raised as a `DeviceError`
-    or an `OutOfMemoryError`; others pass.
+    """What Warp reports of `device` in here, of launches, copies and memory, is raised as a `DeviceError` or an
+    `OutOfMemoryError`, and so is a lack of the computer's own memory; other errors pass.
     """
     try:
         yield
     except RayBatchError:
         raise
-    except (RuntimeError, MemoryError) as error:
+    except MemoryError as error:
         text = " ".join(str(error).split())
-        if any(each in text.lower() for each in _NO_MEMORY):
-            raise OutOfMemoryError(
-                f"{device.alias} ran out of memory: {text}; close other programs, lower tile_size or ray_count, or "
-                "render on another device"
-            ) from error
+        raise OutOfMemoryError(
+            f"this computer ran out of memory{': ' if text else ''}{text}; close other programs, or lower tile_size"
+        ) from error
+    except RuntimeError as error:
+        text = " ".join(str(error).split())
         if not _is_of_warp(error):
             raise
-        remedy = "restart the program" if device.is_cuda else "try again"
-        raise DeviceError(f"{device.alias} stopped: {text}; {remedy}, or render on another device") from error
+        if _NO_MEMORY in text.lower():
+            where = "cpu" if "'cpu'" in text else device.alias
+            raise OutOfMemoryError(
+                f"{where} ran out of memory: {text}; close other programs, lower tile_size or ray_count, or render on "
+                "another device"
+            ) from error
+        if any(each in text.lower() for each in _STOPPED):
+            remedy = "restart the program" if device.is_cuda else "try again"
+            raise DeviceError(f"{device.alias} stopped: {text}; {remedy}, or render on another device") from error
+        raise
 
 
 def _is_of_warp(error: BaseException) -> bool:

@@ -10,7 +10,6 @@ of it, and those of all callbacks. The first edits wait for what has to be compi
 
 from __future__ import annotations
 
-import random
 import statistics
 import sys
 import time
@@ -91,21 +90,20 @@ class Edits:
         self.queue = [(kind, step) for kind in kinds for step in range(count)]
         self.seconds: dict[str, list[float]] = {kind: [] for kind in kinds}
         self.first = 0.0  # seconds until the first picture
-        self.made_at, self.number, self.kind = 0.0, 0, ""
+        self.made_at, self.number, self.kind, self.watches = 0.0, 0, "", False
         self.stage = self.prepare
 
     def prepare(self) -> bool:
         """Make the scene, and have it shown."""
-        random.seed(1)
         watched.make_scene()
-        watched.look_through_camera()
+        watched.show_rendered()
         self.made_at = time.perf_counter()
         self.stage = self.begin
         return False
 
     def begin(self) -> bool:
         """Wait for RayBatch's first picture."""
-        if self.watch.viewport is None and not getattr(self, "watches", False):
+        if self.watch.viewport is None and not self.watches:
             self.watches = self.watch.begin()
             watched.view()["area"].tag_redraw()
         if self.watch.shown:

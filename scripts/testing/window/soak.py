@@ -29,7 +29,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import watched
 
 GRIDS, QUADS = 6, 40
-WAIT_SECONDS = 60.0  # for a picture at most
+WAIT_SECONDS = 0.5  # for a picture at most: none comes of an edit of what is hidden
 RECORDS = 10  # of memory
 
 
@@ -43,13 +43,12 @@ def grids() -> list[bpy.types.Object]:
     return [each for each in bpy.context.scene.objects if each.type == "MESH"]
 
 
-def in_object_mode() -> bool:
-    """Whether the active object is in no other mode; if it is, it leaves it."""
+def leave_modes() -> None:
+    """The active object leaves the mode that it is in."""
     active = bpy.context.view_layer.objects.active
     if active is not None and active.mode != "OBJECT":
         with bpy.context.temp_override(**watched.view()):
             bpy.ops.object.mode_set(mode="OBJECT")
-    return True
 
 
 class Soak:
@@ -60,7 +59,7 @@ class Soak:
         self.kinds: dict[str, Callable[[], None]] = {
             name.removeprefix("edit_"): getattr(self, name) for name in dir(self) if name.startswith("edit_")
         }
-        self.watch, self.made = watched.Watch(), Counter[str]()
+        self.watch, self.made, self.watches = watched.Watch(), Counter[str](), False
         self.failed: list[str] = []
         self.records: list[dict[str, int]] = []
         self.number, self.made_at, self.waits, self.begun = 0, 0.0, False, time.perf_counter()
@@ -200,7 +199,7 @@ class Soak:
             bpy.ops.wm.open_mainfile(filepath=self.file)
 
     def edit_settings(self) -> None:
-        bpy.context.scene.raybatch_viewport.sample_count = self.random.randint(1, 64)
+        bpy.context.scene.raybatch_viewport.samples = self.random.randint(1, 64)
 
     # --- how they are made
 
@@ -208,7 +207,7 @@ class Soak:
         return bpy.data.materials["Noisy"].node_tree.nodes
 
     def _any(self) -> bpy.types.Object:
-        in_object_mode()
+        leave_modes()
         return self.random.choice(grids())
 
     def _run(self, operator: Any, **options: object) -> None:
@@ -219,14 +218,14 @@ class Soak:
     def prepare(self) -> bool:
         """Make the scene, and have it shown."""
         watched.make_scene(GRIDS, QUADS)
-        watched.look_through_camera()
+        watched.show_rendered()
         self.stage = self.begin
         return False
 
     def begin(self) -> bool:
         """Wait for RayBatch's first picture."""
         if self.watch.viewport is None:
-            self.watch.begin()
+            self.watches = self.watches or self.watch.begin()
             watched.view()["area"].tag_redraw()
         if self.watch.shown:
             self._record()
@@ -239,7 +238,7 @@ class Soak:
         if made == self.count:
             self.report()
             return True
-        if made and made % (self.count // RECORDS) == 0 and len(self.records) <= made * RECORDS // self.count:
+        if made and made % max(self.count // RECORDS, 1) == 0 and len(self.records) <= made * RECORDS // self.count:
             self._record()
         kind = self.random.choice(list(self.kinds))
         if made % 50 == 49:  # from time to time the view is what is tried again
@@ -249,7 +248,7 @@ class Soak:
         self.made[kind] += 1
         try:
             if kind != "mode":
-                in_object_mode()
+                leave_modes()
             self.kinds[kind]()
         except Exception:
             self.failed.append(f"{kind}: {traceback.format_exc(limit=-2)}")
@@ -261,7 +260,7 @@ class Soak:
     def wait(self) -> bool:
         """Wait for a picture, if one is waited for and comes."""
         waited = time.perf_counter() - self.made_at
-        if not self.waits or self.watch.shown > self.number or waited > 0.5:
+        if not self.waits or self.watch.shown > self.number or waited > WAIT_SECONDS:
             self.stage = self.edit
         return False
 
@@ -294,6 +293,11 @@ class Soak:
             },
         )
 
+    @property
+    def is_good(self) -> bool:
+        """Whether nothing failed."""
+        return not self.failed and not self.watch.errors
+
     def step(self) -> bool:
         """What comes next; True at the end."""
         return self.stage()
@@ -303,4 +307,5 @@ if __name__ == "__main__":
     given = [*watched.arguments(), "", ""]
     if not given[0]:
         raise SystemExit(f"soak.py: give a file for the report behind --\n{__doc__}")
-    watched.every(0.01, Soak(given[0], int(given[1] or 2000), int(given[2] or 1)).step)
+    soak = Soak(given[0], int(given[1] or 2000), int(given[2] or 1))
+    watched.every(0.01, soak.step, lambda: soak.is_good)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -144,8 +145,8 @@ def view() -> dict[str, Any]:
     }
 
 
-def look_through_camera() -> None:
-    """The largest 3D view shows RayBatch's picture through the camera."""
+def show_rendered() -> None:
+    """The largest 3D view shows RayBatch's picture, in perspective."""
     there = view()
     space = there["space_data"]
     space.shading.type = "RENDERED"
@@ -155,9 +156,9 @@ def look_through_camera() -> None:
     space.region_3d.view_distance = 14.0
 
 
-def every(seconds: float, step: Callable[[], bool]) -> None:
-    """Call `step` every `seconds` from Blender's main loop until it returns True; then, or after an error, Blender is
-    closed.
+def every(seconds: float, step: Callable[[], bool], is_good: Callable[[], bool] = lambda: True) -> None:
+    """Call `step` every `seconds` from Blender's main loop until it returns True; then Blender is closed. It ends with 1
+    after an error, and where not `is_good`.
     """
 
     def call() -> float | None:
@@ -168,7 +169,11 @@ def every(seconds: float, step: Callable[[], bool]) -> None:
             import traceback
 
             traceback.print_exc()
+            sys.stdout.flush()
+            os._exit(1)
         sys.stdout.flush()
+        if not is_good():
+            os._exit(1)
         bpy.ops.wm.quit_blender()
         return None
 

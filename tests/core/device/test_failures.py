@@ -8,6 +8,7 @@ import pytest
 import warp as wp
 
 from raybatch_addon.core.device import failures
+from raybatch_addon.core.device.devices import start_warp
 from raybatch_addon.core.device.failures import named_failures
 from raybatch_addon.core.errors import DeviceError, OutOfMemoryError, SceneError
 from raybatch_addon.core.session import Session
@@ -21,6 +22,15 @@ ON_CUDA = pytest.mark.skipif(DEVICE == "cpu", reason="on a CUDA device alone")
 SETTINGS = RenderSettings(sample_count=2, bounce_max=3, seed=5, thread_count=1)
 TRIED = 12  # places of each kind, where it is not thorough
 
+start_warp()
+CPU = wp.get_device("cpu")
+
+
+@wp.kernel
+def _count(out: wp.array(dtype=float)):
+    out[0] = 1.0
+
+
 pytestmark = pytest.mark.usefixtures("general_kernels")
 
 
@@ -30,7 +40,9 @@ class Faults:
     def __init__(self, monkeypatch):
         self.kind, self.at, self.seen = "", 0, 0
         context = wp._src.context
-        self._watch(monkeypatch, wp, "launch", "launch", "Error launching kernel: unspecified launch failure")
+        self._watch(
+            monkeypatch, wp, "launch", "launch", "Warp CUDA error 700: an illegal memory access was encountered"
+        )
         self._watch(monkeypatch, context.Launch, "launch", "launch", "Warp CUDA error 719: unspecified launch failure")
         message = "Failed to allocate 640 bytes on device 'cpu'"
         self._watch(monkeypatch, context.CpuDefaultAllocator, "allocate", "allocation", message)
@@ -65,7 +77,7 @@ def render(session):
 @pytest.mark.parametrize(
     "kind, raised, said",
     [
-        ("launch", DeviceError, "cpu stopped: .*unspecified launch failure; try again, or render on another device"),
+        ("launch", DeviceError, "cpu stopped: Warp CUDA error 7.*; try again, or render on another device"),
         ("allocation", OutOfMemoryError, "close other programs|use few"),
     ],
 )
@@ -89,9 +101,29 @@ def test_a_failure_anywhere_is_named_and_the_next_render_is_whole(kind, raised, 
         session.close()
 
 
-@pytest.mark.parametrize("error", [RuntimeError("of a script"), SceneError("named already"), ZeroDivisionError()])
+def test_what_warp_reports_of_memory_is_named():
+    with pytest.raises(OutOfMemoryError, match="cpu ran out of memory: Failed to allocate"), named_failures(CPU):
+        wp.empty((2**31 - 1, 2**20), dtype=wp.mat44d, device="cpu")
+
+
+def test_what_warp_reports_of_a_wrong_call_passes():
+    with pytest.raises(RuntimeError) as raised, named_failures(CPU):
+        wp.launch(_count, 1, [wp.zeros(1, dtype=wp.vec3, device="cpu")], device="cpu")
+    assert not isinstance(raised.value, DeviceError)
+
+
+@pytest.mark.parametrize("text", ["", "Unable to allocate 3.00 TiB for an array"])
+def test_a_lack_of_the_computers_memory_is_named(text):
+    said = "^this computer ran out of memory.*; close other programs"
+    with pytest.raises(OutOfMemoryError, match=said), named_failures(CPU):
+        raise MemoryError(text)
+
+
+@pytest.mark.parametrize(
+    "error", [RuntimeError("CUDA error, says a script"), SceneError("named already"), ZeroDivisionError()]
+)
 def test_other_errors_pass(error):
-    with pytest.raises(type(error)) as raised, named_failures(wp.get_device("cpu")):
+    with pytest.raises(type(error)) as raised, named_failures(CPU):
         raise error
     assert raised.value is error
 
@@ -137,9 +169,7 @@ def test_a_device_without_memory_is_named():
     for share in (0.9, 0.9, 0.9, 0.9):
         taken.append(wp.empty(int(device.free_memory * share) // 128, dtype=wp.mat44d, device=device))
     other = Session(DEVICE)
-    try:
-        np.testing.assert_array_equal(render(other), expected)
-    except OutOfMemoryError as error:
-        assert DEVICE in str(error)
+    with pytest.raises(OutOfMemoryError, match=DEVICE):
+        render(other)
     taken.clear()
     np.testing.assert_array_equal(render(other), expected)

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 import warp as wp
 
+from raybatch_addon.core.ahead.request import GeneralRequest
 from raybatch_addon.core.device.codegen import local_arrays
 from raybatch_addon.core.device.codegen.local_arrays import Unset, set_once
-from raybatch_addon.core.device.devices import start_warp
-from raybatch_addon.core.device.kernel import MODULE_OPTIONS
+from raybatch_addon.core.device.devices import find_device, start_warp
+from raybatch_addon.core.device.kernel import MODULE_OPTIONS, is_general
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.shading.bsdf.materials import address_of
 from tests.core.device.small_kernels import ROOT
@@ -86,15 +87,33 @@ def test_no_array_of_the_core_is_copied():
     assert "data[k] = Unset" not in source
 
 
+@ON_CPU
+def test_no_array_of_general_kernels_is_copied():
+    start_warp()
+    kernels = [each for each in GeneralRequest().kernels(find_device("cpu")) if is_general(each.module)]
+    sources = [source_of(each, "cpu") for each in kernels]
+    assert sum(source.count("_storage[") for source in sources) > 20
+    assert not [each.key for each, source in zip(kernels, sources, strict=True) if "fixedarray_t" in source]
+
+
 def test_modules_of_others_are_left_alone():
     start_warp()
     assert "fixedarray_t" in source_of(kernel_of(MODULE_OPTIONS | {"cpu_compiler_flags": ""}), "cpu")
 
 
+DECLARED = "    wp::fixedarray_t<4, wp::float32> var_1;\n"
+ASSIGNED = "    var_1 = wp::fixedarray_t<4, wp::float32>(var_2);\n"
+
+
 def test_what_warp_would_write_another_way_stays():
+    assert set_once(DECLARED + ASSIGNED) != DECLARED + ASSIGNED
     for source in (
         "    wp::fixedarray_t<4, wp::float32> var_1;\n    var_1 = wp::fixedarray_t<4, wp::float32>(var_2, var_3);\n",
         "    wp::fixedarray_t<4, wp::float32> var_1;\n    foo(var_1);\n",
+        DECLARED + 2 * ASSIGNED,
+        DECLARED + ASSIGNED + "    var_4 = var_1;\n",
+        DECLARED + ASSIGNED + "    wp::assign(var_4, var_1);\n",
+        DECLARED + ASSIGNED + "    var_5 = wp::where(var_6, var_4, var_1);\n",
     ):
         assert set_once(source) == source
 
@@ -105,18 +124,19 @@ import json, sys
 from raybatch_addon.core.device.codegen import local_arrays
 local_arrays.fill_unset = sys.argv[1]
 from tests.core.device.test_local_arrays import digests
-print(json.dumps(digests(sys.argv[2:])))
+print(json.dumps(digests(sys.argv[3:], sys.argv[2])))
 """
 # A number that no comparison holds for, and one that is larger than all that kernels deal with
+SPECIALISED = ("subsurface", "a volume with a program", "all passes of a program")
 FILLS = ['__builtin_nanf("")', "3e37f"]
 
 
-def digests(features):
-    """Of all passes of films by general kernels."""
+def digests(features, tier):
+    """Of all passes of films by kernels of `tier`."""
     found = {}
     for feature in features:
         scene, changes = ALL_FEATURES[feature]
-        film = Session("cpu").render(scene, FEATURE_SETTINGS.replace(kernel_tier="GENERAL", **changes))
+        film = Session("cpu").render(scene, FEATURE_SETTINGS.replace(kernel_tier=tier, **changes))
         digest = hashlib.sha256()
         for name in sorted(film.passes):
             digest.update(name.encode() + np.ascontiguousarray(film.passes[name]).tobytes())
@@ -124,7 +144,7 @@ def digests(features):
     return found
 
 
-def filled(fill, features, folder):
+def filled(fill, tier, features, folder):
     environment = os.environ | {
         "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
         "RAYBATCH_KERNEL_CACHE": str(folder),
@@ -132,7 +152,7 @@ def filled(fill, features, folder):
     }
     environment.pop("RAYBATCH_KERNEL_TIER", None)
     done = subprocess.run(
-        [sys.executable, "-c", FILLED, fill, *features], env=environment, capture_output=True, text=True, cwd=ROOT
+        [sys.executable, "-c", FILLED, fill, tier, *features], env=environment, capture_output=True, text=True, cwd=ROOT
     )
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
@@ -142,7 +162,13 @@ def filled(fill, features, folder):
 @pytest.mark.parametrize("fill", thorough_but((), dict.fromkeys(FILLS)))
 def test_nothing_is_read_before_it_is_written(fill, tmp_path):
     features = [*ALL_FEATURES]
-    assert filled(fill, features, tmp_path) == digests(features)
+    assert filled(fill, "GENERAL", features, tmp_path) == digests(features, "GENERAL")
+
+
+@ON_CPU
+@pytest.mark.parametrize("feature", thorough_but((), SPECIALISED))
+def test_nothing_is_read_before_it_is_written_by_specialised_kernels(feature, tmp_path):
+    assert filled(FILLS[0], "SPECIALISED", [feature], tmp_path) == digests([feature], "SPECIALISED")
 
 
 def test_filled_arrays_are_filled(monkeypatch):

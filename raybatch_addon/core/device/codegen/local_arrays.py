@@ -56,7 +56,9 @@ def set_once(source: str, fill: str = "") -> str:
     for indent, count, ctype, name in _DECLARED.findall(source):
         declared = f"{indent}wp::fixedarray_t<{count}, {ctype}> {name};\n"
         assigned = re.compile(rf"^([ \t]*){name} = wp::fixedarray_t<{count}, {re.escape(ctype)}>\(var_\w+\);\n", re.M)
-        if source.count(declared) != 1 or not assigned.search(source):
+        # an array that is assigned elsewhere, too, or chosen among several, stays one that can be copied
+        copied = re.compile(rf"wp::(?:assign|copy|where)\([^;]*\b{name}\b|= {name};")
+        if source.count(declared) != 1 or len(assigned.findall(source)) != 1 or copied.search(source):
             continue
         storage = f"{name}_storage"
         source = source.replace(
