@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from .native.structs import uploaded
+from .native.structs import upload_anew
 
 # So many runs of rows are copied one by one; more of them together, with what lies between
 _RUNS_MOST = 16
@@ -81,7 +81,7 @@ class KeptArrays:
                 return last.array
         del last
         self._kept.pop(key, None)  # before there are two of them
-        made = uploaded(name, values, dtype, device)
+        made = upload_anew(name, values, dtype, device)
         self._kept[key] = _Kept(made, values.shape, row, None if device.is_cpu else values.copy())
         return made
 

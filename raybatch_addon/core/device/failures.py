@@ -15,14 +15,7 @@ from ..errors import DeviceError, OutOfMemoryError, RayBatchError
 _WARP = Path(wp.__file__).parent
 _NO_MEMORY = "failed to allocate"
 # What Warp calls failures of launches, copies and contexts
-_STOPPED = (
-    "warp cuda error",
-    "warp copy error",
-    "warp error",
-    "error launching",
-    "launch failure",
-    "cuda driver error",
-)
+_STOPPED = ("warp cuda error", "warp copy error", "warp error", "launch failure", "cuda driver error")
 _Given = ParamSpec("_Given")
 _Returned = TypeVar("_Returned")
 

@@ -50,7 +50,7 @@ def upload_struct(value: Any, device: wp.Device) -> wp.array:
     return _copied(ctypes.addressof(value.__ctype__()), 1, value._cls, device)
 
 
-def uploaded(_name: str, values: np.ndarray, dtype: Any, device: wp.Device) -> wp.array:
+def upload_anew(_name: str, values: np.ndarray, dtype: Any, device: wp.Device) -> wp.array:
     """A new array on `device` of `values`, of numbers or records: the plain `Upload`."""
     if values.dtype.names:
         return upload_records(values, dtype, device)

@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from ..errors import SceneError
-from ..native.structs import Upload, bytes_of_struct, uploaded
+from ..native.structs import Upload, bytes_of_struct, upload_anew
 from ..scene.description import Scene
 from ..scene.geometry import Geometry
 from ..scene.program import Program, ProgramFeatures
@@ -58,7 +58,7 @@ def upload_programs(
     images: ImageTable,
     device: wp.Device,
     inputs: InputData | None = None,
-    upload: Upload = uploaded,
+    upload: Upload = upload_anew,
 ) -> NodeData:
     """`programs` and their inputs from `scene`; all arrays are empty where there are no programs.
 
@@ -82,7 +82,7 @@ def upload_programs(
     return data
 
 
-def store_programs(*tables: NodeData, device: wp.Device, upload: Upload = uploaded) -> list[wp.array]:
+def store_programs(*tables: NodeData, device: wp.Device, upload: Upload = upload_anew) -> list[wp.array]:
     """Write each of `tables` into the device's memory by `upload`, where ops out of line read it; the arrays have to be
     kept.
     """

@@ -157,8 +157,8 @@ def show_rendered() -> None:
 
 
 def every(seconds: float, step: Callable[[], bool], is_good: Callable[[], bool] = lambda: True) -> None:
-    """Call `step` every `seconds` from Blender's main loop until it returns True; then Blender is closed. It ends with 1
-    after an error, and where not `is_good`.
+    """Call `step` every `seconds` from Blender's main loop until it returns True; then Blender is closed, with the exit
+    code 1 where not `is_good`, as after an error.
     """
 
     def call() -> float | None:

@@ -28,7 +28,7 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 
-from ...native.structs import Upload, uploaded
+from ...native.structs import Upload, upload_anew
 from .fresnel import fresnel_dielectric
 from .ggx import ggx_slope
 from .sheen import load_sheen
@@ -89,7 +89,7 @@ def _average_over_cosines(table: np.ndarray) -> np.ndarray:
 
 
 def upload_tables(
-    device, reflection: bool, coat: bool, glass: bool, sheen: bool, film: bool = False, upload: Upload = uploaded
+    device, reflection: bool, coat: bool, glass: bool, sheen: bool, film: bool = False, upload: Upload = upload_anew
 ) -> AlbedoTables:
     """The tables that are asked for, on `device`, each copied there by `upload`. A coat needs `reflection` too."""
     wanted = {

@@ -15,7 +15,7 @@ import warp as wp
 from ...device.codegen.local_arrays import Unset
 from ...errors import SceneError
 from ...native.build import native_source
-from ...native.structs import Upload, record_type, uploaded
+from ...native.structs import Upload, record_type, upload_anew
 from ...scene.description import Closure, ClosureKind, Material
 from .albedo import AlbedoTables, upload_tables
 
@@ -250,7 +250,7 @@ class Bsdf(NamedTuple):
 
 
 def upload_materials(
-    materials: Sequence[Material], features: ClosureFeatures, device, upload: Upload = uploaded
+    materials: Sequence[Material], features: ClosureFeatures, device, upload: Upload = upload_anew
 ) -> MaterialTable:
     """The table of `materials` on `device`, each of its arrays copied there by `upload`.
 

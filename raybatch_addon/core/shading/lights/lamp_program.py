@@ -13,7 +13,7 @@ import warp as wp
 
 from ...device.codegen.local_arrays import Unset
 from ...float32 import LARGEST
-from ...native.structs import Upload, uploaded
+from ...native.structs import Upload, upload_anew
 from ...programs.inputs_data import InputData, inverses, upload_camera_inputs
 from ...programs.op import NodeData
 from ...programs.ops.values.finite import finite_or_zero
@@ -47,7 +47,7 @@ def upload_lamp_programs(
     geometry: Geometry,
     images: ImageTable,
     device: wp.Device,
-    upload: Upload = uploaded,
+    upload: Upload = upload_anew,
 ) -> NodeData:
     """The programs of all lights of `scene`, each of their arrays copied by `upload`, and their inputs; empty where
     there are none.
@@ -57,7 +57,7 @@ def upload_lamp_programs(
     inputs = upload_camera_inputs(scene, device)
     _upload_lamp_inputs(inputs, scene, device)
     programs = [light.program for light in scene.lights]
-    return upload_programs(programs, features, scene, geometry, images, device, inputs, upload)
+    return upload_programs(programs, features, scene, geometry, images, device, inputs=inputs, upload=upload)
 
 
 def _upload_lamp_inputs(inputs: InputData, scene: Scene, device: wp.Device) -> None:

@@ -113,7 +113,14 @@ class DeviceScene:
             else:
                 inputs = with_camera(cache.inputs.get(scene, features.programs.ops, device), scene)
             data.nodes = upload_programs(
-                programs, features.programs, scene, data.geometry, images.table, device, inputs, keep("surfaces")
+                programs,
+                features.programs,
+                scene,
+                data.geometry,
+                images.table,
+                device,
+                inputs=inputs,
+                upload=keep("surfaces"),
             )
         data.world_nodes = upload_programs(
             [scene.world.program],
@@ -122,8 +129,8 @@ class DeviceScene:
             data.geometry,
             images.table,
             device,
-            upload_camera_inputs(scene, device),
-            keep("world"),
+            inputs=upload_camera_inputs(scene, device),
+            upload=keep("world"),
         )
         data.lamp_nodes = upload_lamp_programs(
             scene, features.lamp_program, data.geometry, images.table, device, keep("lamps")

@@ -7,8 +7,8 @@ from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.scene.device_scene import DeviceScene
 from tests.core.wavefront.scene.edited import EDITS, edited_scene
+from tests.core.wavefront.scene.uploads import counted_uploads
 from tests.support.under_test import DEVICE
-from tests.support.uploads import counted_uploads
 
 pytestmark = pytest.mark.usefixtures("general_kernels")
 
