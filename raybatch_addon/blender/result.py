@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import bpy
 import numpy as np
 
@@ -45,22 +47,33 @@ def _about(name: str) -> tuple[int, str, str]:
 
 
 def check_result_fits(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> None:
-    """Raises `OutOfMemoryError` where Blender's pictures of the whole frame do not fit in memory, also where a border
-    is rendered that they are not cropped to: Blender would go on without them, and save black.
+    """Raises `OutOfMemoryError` where Blender's pictures of the whole frame, those of `view_layer` and of the layers
+    behind it, do not fit in memory, also where a border is rendered that they are not cropped to: Blender would go on
+    without them, and save black. Those of layers before it are in memory already.
     """
     render = scene.render
     if render.use_border and render.use_crop_to_border:
         return  # the film is checked
     width, height = (size * render.resolution_percentage // 100 for size in (render.resolution_x, render.resolution_y))
-    layers = [view_layer] if render.use_single_layer else [layer for layer in scene.view_layers if layer.use]
+    layers = [view_layer]
+    if not render.use_single_layer:
+        behind = itertools.dropwhile(lambda layer: layer.name != view_layer.name, scene.view_layers)
+        layers += [layer for layer in itertools.islice(behind, 1, None) if layer.use]
     names = [name for layer in layers for name in (*wanted_passes(layer), *made_passes(scene, layer))]
-    needed = width * height * 4 * sum(_about(name)[0] for name in names)
+    needed = width * height * 4 * sum(_about(name)[0] for name in names) * _view_count(render)
     if needed > (free := host_memory_free()):
         crop = ", or turn on Crop to Render Region" if render.use_border else ""
         raise OutOfMemoryError(
             f"Blender's picture of {width:,} x {height:,} pixels with its passes takes {size_text(needed)} of memory, "
             f"and {size_text(free)} are free; lower the resolution, ask for fewer passes{crop}"
         )
+
+
+def _view_count(render: bpy.types.RenderSettings) -> int:
+    if not render.use_multiview:
+        return 1
+    views = render.stereo_views if render.views_format == "STEREO_3D" else render.views
+    return max(1, sum(view.use for view in views))
 
 
 def stamp_mattes(engine: bpy.types.RenderEngine, layer_name: str, scene: Scene) -> None:

@@ -9,6 +9,8 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from raybatch_addon.blender import reports
+from raybatch_addon.blender.result import check_result_fits
+from raybatch_addon.core.errors import OutOfMemoryError
 from raybatch_addon.core.measure.memory import size_text
 
 # the steps of a person: open the file, render, save
@@ -74,3 +76,21 @@ def test_all_passes_of_all_layers_count(lit, monkeypatch):
         bpy.ops.render.render()
     channels = 4 + 1 + 4 + 3
     assert f"takes {size_text(100 * 50 * channels * 4)} of memory" in reports.last().errors[0]
+
+
+@pytest.mark.parametrize("views", [1, 2])
+def test_layers_that_blender_holds_already_do_not_count_again(lit, monkeypatch, views):
+    lit.render.resolution_x, lit.render.resolution_y, lit.render.resolution_percentage = 200, 100, 100
+    lit.render.use_multiview = views == 2
+    first, second = lit.view_layers[0], lit.view_layers.new("Other")
+    lit.view_layers.new("Unused").use = False
+    first.use_pass_z, second.use_pass_z, second.use_pass_normal = True, False, True
+    of_first, of_second = (200 * 100 * 4 * channels * views for channels in (4 + 1, 4 + 3))
+    free = of_second
+    monkeypatch.setattr("raybatch_addon.blender.result.host_memory_free", lambda: free)
+    check_result_fits(lit, second)
+    with pytest.raises(OutOfMemoryError, match=f"takes {size_text(of_first + of_second)} of memory"):
+        check_result_fits(lit, first)
+    free = of_second - 1
+    with pytest.raises(OutOfMemoryError, match=f"takes {size_text(of_second)} of memory"):
+        check_result_fits(lit, second)
