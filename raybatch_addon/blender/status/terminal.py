@@ -53,15 +53,19 @@ class PlainLines:
                 return
             self._waiting = text
             seconds = max(0.0, self._said_at + PLAIN_SECONDS - time.perf_counter())
-            self._timer = threading.Timer(seconds, self.flush)
-            self._timer.daemon = True
-            self._timer.start()
-            # behind those that are there: Blender may be ended by one of them, and the last is called first
+            timer = threading.Timer(seconds, lambda: self.flush(timer))
+            timer.daemon = True
+            timer.start()
+            self._timer = timer
+            # At its end Python calls last what was registered first. `exit_code` registers a function that ends the
+            # process, before which the line has to be printed: so it is registered only now, not when Blender starts
             atexit.register(self.flush)
 
-    def flush(self) -> None:
-        """Print the line that waits, now."""
+    def flush(self, timer: threading.Timer | None = None) -> None:
+        """Print the line that waits, now; for a `timer` only if it is the one of that line, not of one before it."""
         with self._lock:
+            if timer is not None and timer is not self._timer:
+                return
             text = self._take()
             if text is not None:
                 self.note()

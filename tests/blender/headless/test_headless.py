@@ -197,6 +197,19 @@ def test_the_end_of_a_long_frame_is_said_at_once(said):
     assert said.lines[-1] == (107.0, "Sample 16/16 | Finished")
 
 
+def test_a_timer_that_is_late_does_not_print_the_line_of_another(said):
+    said.plain_lines.note()
+    said.plain_lines.wait_with("frame 1")
+    (late,) = said.timers
+    said.wait(1)
+    said.plain_lines.note()
+    said.plain_lines.wait_with("frame 2")
+    late.function()  # it ran out before it was cancelled
+    assert not said.lines
+    said.wait(5)
+    assert said.lines == [(106.0, "frame 2")]
+
+
 def test_behind_an_error_no_end_is_said(said):
     for frame_number in (1, 2):
         layer = said.layer(frame_number)
