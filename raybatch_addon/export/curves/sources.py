@@ -344,7 +344,9 @@ def _paths(owner: bpy.types.Object, system: bpy.types.ParticleSystem, viewport: 
     values = (asked(owner, particle_no=i, step=k)[:] for i in numbers for k in range(steps))
     points = np.fromiter(chain.from_iterable(values), np.float32, 3 * count * steps).reshape(-1, 3)
     of_steps = points.reshape(count, steps, 3)
-    for k in range(plain, steps):  # a strand that has no such step ends before it; Blender gives zeros there
+    # A strand that has no such step ends before it: Blender gives zeros there, and nothing that tells them from a point
+    # at the world's origin, so that such a point, if one of the extra steps is there, gives way to the one before it
+    for k in range(plain, steps):
         lacking = ~of_steps[:, k].any(1)
         of_steps[lacking, k] = of_steps[lacking, k - 1]
     inverse = np.array(owner.matrix_world.inverted_safe(), np.float64)

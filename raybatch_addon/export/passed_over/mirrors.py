@@ -25,8 +25,9 @@ def lamps_hidden_from_mirrors(scene: Scene) -> list[Notice]:
     ]
     instances = scene.instances
     if instances.links is not None:
+        slots_of: dict[int, list[int]] = {}
         for instance in np.flatnonzero(instances.links[:, 2] != np.uint64(ALL_SHADOW_SETS)).tolist():
-            if _excludes(int(instances.links[instance, 2])) and _emits(scene, instance):
+            if _excludes(int(instances.links[instance, 2])) and _emits(scene, instance, slots_of):
                 names.append(scene.object_names[int(instances.object[instance])])
     if not names or not any(map(_may_mirror, scene.materials)):
         return []
@@ -43,13 +44,16 @@ def _excludes(sets: int) -> bool:
     return sets != ALL_SHADOW_SETS and bool(sets >> (SHADOW_SETS - 1) & 1)
 
 
-def _emits(scene: Scene, instance: int) -> bool:
+def _emits(scene: Scene, instance: int, slots_of: dict[int, list[int]]) -> bool:
+    """Whether mirrors would see light of `instance`; `slots_of` gains the slots that its mesh uses, found once."""
     if not int(scene.instances.visibility[instance]) & _SEEN:
         return False
-    slots = scene.meshes[int(scene.instances.mesh[instance])].triangle_slot
+    mesh = int(scene.instances.mesh[instance])
+    if mesh not in slots_of:
+        slots = scene.meshes[mesh].triangle_slot
+        slots_of[mesh] = np.unique(slots).tolist() if slots is not None else [0]
     first = int(scene.instances.slot_first[instance])
-    used = np.unique(slots).tolist() if slots is not None else [0]
-    materials = (scene.materials[int(scene.slot_materials[first + slot])] for slot in used)
+    materials = (scene.materials[int(scene.slot_materials[first + slot])] for slot in slots_of[mesh])
     return any(ClosureKind.EMISSION in each.kinds for each in materials)
 
 

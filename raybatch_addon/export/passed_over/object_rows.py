@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import bpy
+import numpy as np
 
 from ...core.scene.notice import Weight
 from ..meshes.smoke import smoke_domain
@@ -32,7 +33,9 @@ def _offsets_shadow_rays(obj: bpy.types.Object) -> bool:
     prop = obj.bl_rna.properties.get("shadow_terminator_geometry_offset")
     if prop is None or obj.type != "MESH" or obj.shadow_terminator_geometry_offset in (0.0, prop.default):
         return False
-    return any(polygon.use_smooth for polygon in obj.data.polygons)
+    smooth = np.zeros(len(obj.data.polygons), bool)
+    obj.data.polygons.foreach_get("use_smooth", smooth)
+    return bool(smooth.any())
 
 
 def _reads_grids_smoothly(obj: bpy.types.Object) -> bool:
