@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import gc
-import resource
 import statistics
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -21,6 +19,7 @@ import raybatch_addon
 from benchmarking.in_blender.moving_scene import SIZES, make_moving_scene
 from benchmarking.progress import Steps
 from raybatch_addon.blender import frame, reports
+from raybatch_addon.core.device.devices import host_memory_used
 from raybatch_addon.core.errors import SceneError
 from raybatch_addon.core.film import Film
 from raybatch_addon.core.scene.description import Scene
@@ -102,16 +101,6 @@ def times(seconds: list[dict[str, float]]) -> dict[str, Any]:
     }
 
 
-def resident_bytes() -> int:
-    """Memory of this process that is not paged out [bytes]; where the system does not say, the most that there was."""
-    try:
-        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
-    except OSError:
-        most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        return most if sys.platform == "darwin" else most * 1024
-    return pages * resource.getpagesize()
-
-
 class _Clock:
     """Hears from Blender and the engine where a frame begins and ends."""
 
@@ -155,7 +144,7 @@ class _Clock:
         count = len(self.seconds)
         if count * MEMORY_POINTS // self._frames > (count - 1) * MEMORY_POINTS // self._frames:
             gc.collect()
-            self.resident.append({"after_frames": count, "mib": round(resident_bytes() / 2**20, 1)})
+            self.resident.append({"after_frames": count, "mib": round(host_memory_used() / 2**20, 1)})
         self._steps.end()
 
 
