@@ -215,10 +215,13 @@ WARNINGS_SHOWN = 10  # of one picture; all of them are in the statistics
 
 
 def print_warnings(warnings: Iterable[str], script: str = "render.py") -> None:
-    """Write what a render of `script` did without, or did otherwise, to standard error."""
+    """Write what a render of `script` did without, or did otherwise, to standard error. Options that would mend it are
+    those of render.py.
+    """
     warnings = list(warnings)
     for text in warnings[:WARNINGS_SHOWN]:
-        remedy = as_notice(text).to_do()
+        notice = as_notice(text)
+        remedy = notice.to_do() if script == "render.py" else notice.remedy
         print(f"{script}: warning: {text}{f' ({remedy})' if remedy else ''}", file=sys.stderr)
     if len(warnings) > WARNINGS_SHOWN:
         print(f"{script}: warning: {len(warnings) - WARNINGS_SHOWN} more; --json lists them", file=sys.stderr)
