@@ -33,7 +33,14 @@ from .surface import SurfacePoint, carried_error, make_surface, material_of, mov
 # The root is found to what x x - r r is known to. At the hit |x| + r is 2 rho, and the cone is nearer by sqrt(1 + s s):
 # the hit is within **75 u S c / rho** of it, without what the way from the ray's origin costs, 14 u of its length
 # (docs/stability.md), which is in S for a ray that leaves. A ribbon's test has no squares: 20 u S.
+#
+# Of steep cones that is much too far. The test takes no hit where the radius would be below 0 or above 2 R, thus none
+# farther along the axis from the cone than 2 R / s, but for what it knows of the place along the axis, which is in
+# 75 u S. A ray that starts 2 R / s outside, s above 0.6, is where the radius is below 0, and as it turns away from the
+# cone, it stays R or more outside where that is above 0 again. The hit is within **75 u S + 2 R / s** at most.
 _SEGMENT_TEST = 75.0 * UNIT_ROUNDOFF
+# Slopes above it count as this one, so that nothing overflows: the other bound is the smaller one long before
+_STEEPEST = 1e6
 
 
 @wp.struct
@@ -167,6 +174,7 @@ def make_segment_point(instancing: bool, moving: bool = False) -> wp.Function:
             s = segment_at(geometry, geometry.instance_mesh[instance], triangle, time)
         radius = s.first_radius
         widens = float(0.0)  # how much the radius changes along the way to where a ray is nearest to the axis, at most
+        window = float(wp.inf)  # how far from the cone the test takes a hit at most, roundings aside [m]
         unit_axis = unit_or_zero(s.axis)
         if wp.dot(unit_axis, unit_axis) > 0.5:
             length = wp.dot(unit_axis, s.axis)
@@ -174,7 +182,13 @@ def make_segment_point(instancing: bool, moving: bool = False) -> wp.Function:
             outwards = _outwards(unit_axis, uv[1])
             radius = s.first_radius + uv[0] * taper
             most = wp.max(s.first_radius, s.second_radius)
-            widens = wp.abs(taper) * (1.5 + 7.0 * most / length)
+            change = wp.abs(taper)
+            if change > 0.0:
+                slope = wp.static(_STEEPEST)
+                if change < slope * length:
+                    slope = change / length
+                widens = 1.5 * change + 7.0 * most * slope
+                window = 2.0 * most * (length / change)
             position = s.first + uv[0] * s.axis + radius * outwards
             geometric = unit_or_zero(outwards * length - taper * unit_axis)
             # the curve's own tangent turns from joint to joint, and the normal with it
@@ -189,8 +203,9 @@ def make_segment_point(instancing: bool, moving: bool = False) -> wp.Function:
         reach = wp.static(_SEGMENT_TEST) * (reach + 2.0 * wp.max(s.first_radius, s.second_radius))
         # the test knows squares of radii, which says less of radii where these are small
         square = reach * (radius + widens)
+        window = reach + window
         if square > 0.0:
-            reach = 2.0 * square / (wp.sqrt(radius * radius + 2.0 * square) + radius)
+            reach = wp.min(2.0 * square / (wp.sqrt(radius * radius + 2.0 * square) + radius), window)
         surface = SurfacePoint()
         surface.error = wp.vec3(reach, reach, reach) + wp.static(3.0 * UNIT_ROUNDOFF) * wp.vec3(
             wp.abs(position[0]), wp.abs(position[1]), wp.abs(position[2])

@@ -26,6 +26,8 @@ CONES = (
     (0.1, 1, 0.1),
     (1e-3, 1, 0.9),
 )
+STEEP = ((1e-3, 1, 0.5), (1e-4, 1, 0))  # hardly thicker than discs
+STEEPER = ((1e-4, 0.5, 1), (1e-5, 1, 0.5), (1e-6, 1, 0.1))  # which few rays meet that come from afar
 SINES = (1, 0.5, 0.1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6)  # of the angle between ray and axis
 FARS = (0.6, 1, 3, 100, 1e4)  # from where rays come, in sizes of the segment
 COUNT = 20_000
@@ -55,6 +57,7 @@ class Cone:
         self.length, self.taper = norm(self.axis), self.radii[1] - self.radii[0]
         self.slope, self.most = self.taper / self.length, self.radii.max()
         self.size = np.abs(self.axis).sum() + 2 * self.most
+        self.window = 2 * self.most / abs(self.slope) if self.slope else np.inf
 
     def across(self, count):
         """The unit axis and two unit vectors across it."""
@@ -94,7 +97,7 @@ class Cone:
 @pytest.mark.parametrize("place", [0.0, 30.0])
 def test_hits_on_cones_are_within_the_bound(place, layout):
     worst = 0.0
-    for seed, sizes in enumerate(CONES):
+    for seed, sizes in enumerate(CONES + STEEP):
         cone = Cone(sizes, place, seed)
         point, _, _, way = cone.hits(layout)
         along = (point - cone.first) @ cone.axis / cone.length**2
@@ -105,6 +108,8 @@ def test_hits_on_cones_are_within_the_bound(place, layout):
         square = 75 * U * cone.size * (np.maximum(radius, 0) + abs(cone.slope) * moved)
         # of radii near 0 it is the square that is known
         near = 2 * square / (np.sqrt(np.maximum(radius, 0) ** 2 + 2 * square) + np.maximum(radius, 0))
+        # of steep cones it is the place along the axis that is known
+        near = np.minimum(near, 75 * U * cone.size + cone.window)
         share = off / (14 * U * way + near)
         assert share.max() < 1, sizes
         worst = max(worst, float(share.max()))
@@ -138,7 +143,9 @@ def test_hits_on_ribbons_are_within_the_bound(place, layout):
 @pytest.mark.parametrize("scale, place", [(1.0, 0.0), (1.0, 100.0), (1e-3, 1.0)])
 def test_no_ray_meets_the_cone_that_it_left(scale, place):
     """From all over the surface, most of them close to its ends, along the axis, along the surface and away."""
-    for seed, sizes in enumerate(CONES):
+    for seed, sizes in enumerate(CONES + STEEP + STEEPER):
+        if sizes[0] * scale < 10 * U * place:
+            continue  # its ends are one place
         cone = Cone(np.multiply(sizes, scale), place, seed)
         random, count = cone.random, COUNT
         along = random.choice([0, 1], count) + random.choice([-1, 1], count) * 10.0 ** random.uniform(-7, 0, count)
@@ -158,6 +165,23 @@ def test_no_ray_meets_the_cone_that_it_left(scale, place):
         origin = spawned(position[leaves], error[leaves], normal[leaves], direction[leaves])
         met = traced.trace(origin, direction[leaves]).instance >= 0
         assert met.sum() == 0, sizes
+
+
+@pytest.mark.parametrize("length", [1.0, 1e-2, 1e-3, 1e-4, 1e-5, 1e-10, 1e-33, 1e-37, 1e-44])
+@pytest.mark.parametrize("radii", [(1, 0.5), (0.5, 1), (1, 0), (1, 1 - 2**-7), (1, 1), (2**-10, 0)])
+def test_rays_start_close_to_steep_cones(length, radii):
+    """However short a segment is, a scattered ray starts within a few of its lengths, and roundings of its size."""
+    cone = Cone((1, 1, 1), 0.0, 0)
+    axis = np.array([0, 0, length])
+    traced = alone(replace(cone.mesh, positions=np.float32([0 * axis, axis]), radii=np.float32(radii)))
+    uv = np.stack([cone.random.random(1000), cone.random.uniform(-2, 2, 1000)], 1).astype(np.float32)
+    position, error, _ = surface_points(traced, np.zeros(1000, np.int32), uv)
+    assert np.isfinite(position).all() and np.isfinite(error).all()
+    most, taper = max(radii), abs(radii[1] - radii[0])
+    if taper:
+        roundings = 75 * U * (length + 2 * most) + 3 * U * np.abs(position)
+        assert (error <= 1.01 * (roundings + 2 * most * length / taper)).all()
+    assert error.max() <= 0.05 * max(most, length), "of rays at the tip, where squares of radii are known"
 
 
 def test_rays_along_tapered_curves_meet_the_same_in_every_tree():
