@@ -126,7 +126,11 @@ def _render_view(
     parts = Parts("export")
     status.show(parts.message)
     begin_frame(finals.job)
-    scene = export_scene(depsgraph, cancelled=lambda: _is_stopped(engine), view=view)
+
+    def is_stopped() -> bool:
+        return _is_stopped(engine)
+
+    scene = export_scene(depsgraph, cancelled=is_stopped, view=view)
     if scene is None:
         return None
     report.export_seconds = parts.elapsed
@@ -139,7 +143,7 @@ def _render_view(
         scene_listener(layer_name, scene, settings)
     missing.refuse_what_lacks(depsgraph.scene, found)
     if tuning.is_tuning():
-        tried = tuning.run_tuning(scene, settings, lambda: _is_stopped(engine), status.show)
+        tried = tuning.run_tuning(scene, settings, is_stopped, status.show)
         if tried is not None:
             ResultWriter(engine, layer_name, scene.frame.region[:2], view.name).write(whole_tile(tried))
         return None
@@ -149,9 +153,6 @@ def _render_view(
         status.update(progress)
         for listener in progress_listeners:
             listener(progress)
-
-    def is_stopped() -> bool:
-        return _is_stopped(engine)
 
     def show_note(text: str) -> None:
         status.show(text)
