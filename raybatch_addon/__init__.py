@@ -42,52 +42,62 @@ def unregister() -> None:
     """Remove everything that `register` added, and give back what is cached. Renders under way are ended first, as by
     Esc; where this is called by one of them, what it needs goes when it ends.
     """
-    from .blender import finals
+    import sys
 
+    from . import engine, ui  # noqa: F401 - they are there when this goes on later
+    from .blender import finals, missing, reports, warm_up  # noqa: F401
+
+    warm_up.finish_warm_up()  # what it imports is whole from then on
+    finals.take_call()  # for a render whose end Blender did not report
     finals.end_all()
-    if (viewports := _module_there("blender.viewport.viewport")) is not None:
+    there = _modules_there()
+    if (viewports := there.get("blender.viewport.viewport")) is not None:
         viewports.end_viewports()
     if finals.wait_for_end(_END_SECONDS):
-        _unregister()
+        _unregister(there)
     else:
-        finals.call_once_over(_unregister)
+        print("RayBatch: a render is under way; RayBatch is disabled once it has ended", file=sys.stderr)
+        finals.call_once_over(lambda: _unregister(there))
 
 
-def _unregister() -> None:
+def _unregister(there: dict[str, ModuleType]) -> None:
+    """`there` are the add-on's modules by the time it was to go: Blender may have forgotten them since."""
     import atexit
 
     import bpy
 
-    from . import engine, ui
-    from .blender import finals, missing, reports, warm_up
-
+    there = {**_modules_there(), **there}
     atexit.unregister(_unregister_at_exit)
-    if (viewports := _module_there("blender.viewport.viewport")) is not None:
+    there["blender.warm_up"].finish_warm_up()
+    if (viewports := there.get("blender.viewport.viewport")) is not None:
         viewports.close_viewports()  # nobody knows their threads once Blender has dropped their engines
-    bpy.utils.unregister_class(engine.RayBatchRenderEngine)
-    ui.unregister()
-    finals.unregister()
-    warm_up.finish_warm_up()
-    if (sessions := _module_there("blender.sessions")) is not None:
+    bpy.utils.unregister_class(there["engine"].RayBatchRenderEngine)
+    there["ui"].unregister()
+    there["blender.finals"].unregister()
+    if (sessions := there.get("blender.sessions")) is not None:
         sessions.close_all()
     for name, forget in (
         ("images.images", "forget_images"),
         ("meshes.kept_meshes", "forget_meshes"),
         ("kept_graphs", "forget_kept"),
     ):
-        if (kept := _module_there(f"export.{name}")) is not None:
+        if (kept := there.get(f"export.{name}")) is not None:
             getattr(kept, forget)()
-    reports.clear()
-    missing.forget_found()
+    there["blender.reports"].clear()
+    there["blender.missing"].forget_found()
 
 
-def _module_there(name: str) -> ModuleType | None:
-    """A module of the add-on that something was rendered with; None where nothing was."""
+def _modules_there() -> dict[str, ModuleType]:
+    """The add-on's modules that were imported, by their names in it: most are where something was rendered alone."""
     import sys
 
-    return sys.modules.get(f"{__name__}.{name}")
+    beginning = f"{__name__}."
+    return {name[len(beginning) :]: module for name, module in [*sys.modules.items()] if name.startswith(beginning)}
 
 
 def _unregister_at_exit() -> None:
     if not globals().get("__addon_enabled__"):  # what Blender enabled as an add-on, it disables itself
+        from .blender import finals
+
+        finals.forget_job()
         unregister()

@@ -55,6 +55,12 @@ def look() -> None:
         _is_job = False
 
 
+def forget_job() -> None:
+    """Blender is in no render, as at its end: it does not report that of an animation whose movie cannot be written."""
+    global _is_job
+    _is_job = False
+
+
 def end_all() -> None:
     """Ask renders to end soon, those under way and those to come; on any thread."""
     global _ends
@@ -70,9 +76,9 @@ def wait_for_end(seconds: float) -> bool:
     """Whether no render is under way, after at most `seconds`. On a thread that renders at once: it cannot wait for
     itself.
     """
-    if not bpy.app.background:
-        look()
     own, end = threading.get_ident(), time.monotonic() + seconds
+    if not bpy.app.background and own != _job_thread:  # where a script waits for its render, Blender knows of no job
+        look()
     while are_under_way():
         if own in _threads or (_is_job and own == _job_thread) or time.monotonic() > end:
             return False
@@ -81,15 +87,28 @@ def wait_for_end(seconds: float) -> bool:
 
 
 def call_once_over(then: Callable[[], None]) -> None:
-    """Call `then` when Blender's render ends: on its thread, in a Blender with a window on the main one."""
+    """Call `then` when Blender's render ends, on its thread; in a Blender with a window when no render is under way, on
+    the main thread.
+    """
     global _then
-    _then = then
+    with _lock:
+        _then = then
+    if bpy.app.background:
+        # Blender walks these lists while `then` takes handlers out of them: none may be behind the one that calls it
+        for handlers in (bpy.app.handlers.render_complete, bpy.app.handlers.render_cancel):
+            if _end in handlers:
+                handlers.remove(_end)
+                handlers.append(_end)
+    elif not bpy.app.timers.is_registered(_call_if_over):
+        # no handler is called behind a preview; and classes of the window's are removed where it is drawn
+        bpy.app.timers.register(_call_if_over, first_interval=_LOOK_SECONDS, persistent=True)
 
 
 def take_call() -> Callable[[], None] | None:
     """What was to be called, and is not any more."""
     global _then
-    then, _then = _then, None
+    with _lock:
+        then, _then = _then, None
     return then
 
 
@@ -109,19 +128,23 @@ def _begin(scene: bpy.types.Scene | None, *_: object) -> None:
 
 @persistent
 def _end(*_: object) -> None:
-    global _is_job
-    _is_job = False
-    if _then is None:
-        return
+    forget_job()
     if bpy.app.background:
         _call()
-    else:  # classes of the window's are removed where it is drawn
-        bpy.app.timers.register(_call, first_interval=0.0, persistent=True)
 
 
 def _call() -> None:
     if (then := take_call()) is not None:
         then()
+
+
+def _call_if_over() -> float | None:
+    """The timer of a Blender with a window: seconds to its next call."""
+    look()
+    if _then is not None and are_under_way():
+        return _LOOK_SECONDS
+    _call()
+    return None
 
 
 def register() -> None:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import bpy
 
-from .. import warm_up
+from .. import finals, warm_up
 
 _trouble = ""  # why there are no viewports
 
@@ -32,6 +32,8 @@ def _is_ready(engine: bpy.types.RenderEngine) -> bool:
     """Whether `engine` has its viewport; where the core is not there yet, it draws again once it is."""
     global _trouble
     if engine.viewport is not None:
+        if engine.viewport.is_closed and not finals.have_to_end():  # the add-on was to go, and stayed
+            engine.viewport.open_again()
         return True
     redraw = _redraw_of(engine)
     if not warm_up.is_over(redraw):

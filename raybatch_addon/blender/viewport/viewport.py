@@ -45,7 +45,8 @@ class Viewport:
         """`redraw` asks Blender for a `draw`; it is called on any thread."""
         self._redraw = redraw
         self.live = LiveScene()
-        self.render = LiveRender(source or ViewSessions(), redraw)
+        self._sessions = source or ViewSessions()
+        self.render = LiveRender(self._sessions, redraw)
         self._shown: tuple[Any, ...] | None = None  # what the last request was made of
         self._space_state: tuple[Any, ...] | None = None
         self._source: tuple[int, str] | None = None  # `session_uid` of the scene that is read, and its view layer
@@ -53,7 +54,7 @@ class Viewport:
         self._number = 0
         self._was_deleted = False  # something of Blender's, while the scene was read last
         self._timer: threading.Timer | None = None  # until it is drawn again, where that need not be at once
-        self._is_closed = False
+        self.is_closed = False
         self._error = ""  # why the scene could not be read
         self._exposure = 1.0
         self._texture = PictureTexture()
@@ -96,10 +97,15 @@ class Viewport:
 
     def close(self) -> None:
         """End soon, without waiting."""
-        self._is_closed = True
+        self.is_closed = True
         if self._timer is not None:
             self._timer.cancel()
         self.render.close()
+
+    def open_again(self) -> None:
+        """Undo `close`."""
+        self.is_closed, self._shown = False, None
+        self.render = LiveRender(self._sessions, self._redraw)
 
     # --- reading
 
@@ -143,7 +149,7 @@ class Viewport:
         self._show(self.live.scene, camera, frame, settings, pixel_side(scene, context.preferences.system.pixel_size))
 
     def _redraw_later(self) -> None:
-        if not self._is_closed and (self._timer is None or not self._timer.is_alive()):
+        if not self.is_closed and (self._timer is None or not self._timer.is_alive()):
             self._timer = threading.Timer(LOCKED_SECONDS, self._redraw)
             self._timer.daemon = True
             self._timer.start()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bpy
 
+from ...blender import missing
 from ..panel import is_engine, register_all, unregister_all
 from .unhidden import unhidden
 
@@ -21,7 +22,6 @@ class RAYBATCH_OT_check_scene(_OfEngine, bpy.types.Operator):
     bl_label = "Check Scene"
 
     def execute(self, context):
-        from ...blender import missing
         from ...core.errors import RayBatchError
         from ...export.passed_over.look import with_light_looked_for
         from ...export.scene import export_scene
@@ -53,8 +53,6 @@ class RAYBATCH_OT_select_object(_OfEngine, bpy.types.Operator):
     number: bpy.props.IntProperty(name="Number", description="Place in the list", min=0)
 
     def execute(self, context):
-        from ...blender import missing
-
         found = missing.found_in(context.scene) or []
         if self.number >= len(found):
             return {"CANCELLED"}
@@ -119,15 +117,11 @@ _classes = (RAYBATCH_OT_check_scene, RAYBATCH_OT_select_object, RAYBATCH_OT_sett
 
 def register() -> None:
     """Add the operators."""
-    from ...blender import missing
-
     bpy.app.handlers.load_pre.append(missing.forget_found)
     register_all(_classes)
 
 
 def unregister() -> None:
     """Remove the operators."""
-    from ...blender import missing
-
     bpy.app.handlers.load_pre.remove(missing.forget_found)
     unregister_all(_classes)

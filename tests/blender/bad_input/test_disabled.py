@@ -101,9 +101,13 @@ def disable(*_):
 listeners = {"scene": frame.scene_listeners, "progress": frame.progress_listeners,
     "render_init": bpy.app.handlers.render_init, "render_pre": bpy.app.handlers.render_pre}[sys.argv[2]]
 listeners.append(disable)
+ends = []
+for handlers in (bpy.app.handlers.render_complete, bpy.app.handlers.render_cancel):
+    handlers.append(lambda *_: ends.append(1))
 said = rendered()
 listeners.remove(disable)
 assert asked and "RayBatch was disabled" in said, said
+assert ends  # who comes behind RayBatch's handlers is called although these go
 assert_gone()
 assert_renders()
 """
@@ -124,7 +128,13 @@ assert_renders()
 """
 
 RELOADED_IN_THE_RENDER = """
+from raybatch_addon.blender.viewport import callbacks
 scene = made(64)
+viewport = shown()
+class Engine:
+    tag_redraw = update_stats = lambda *_: None
+engine = Engine()
+engine.viewport = viewport
 films, asked = [], []
 def reload(*_):
     if not asked:
@@ -135,6 +145,12 @@ frame.progress_listeners.append(reload)
 frame.film_listeners.append(lambda *found: films.append(found[-1]))
 assert rendered() == "" and films[0].complete
 frame.progress_listeners.clear()
+viewport.render.join()
+before, context = viewport.render.picture, region_context()
+def is_shown_again():
+    callbacks.view_draw(engine, context, bpy.context.evaluated_depsgraph_get())
+    return engine.viewport.render.picture not in (None, before)
+wait_for(is_shown_again)
 addon.unregister()
 assert_gone()
 assert_renders()
@@ -158,6 +174,43 @@ for name in [*sys.modules]:
 import raybatch_addon as addon
 from raybatch_addon.blender import finals, frame, reports, sessions
 assert_renders()
+"""
+
+UPDATED_BY_THE_RENDER = """
+made(ENDLESS)
+begun = []
+def update(progress):
+    if progress.stage == "render" and not begun:
+        begun.append(1)
+        addon.unregister()
+        for name in [*sys.modules]:
+            if name.startswith("raybatch_addon"):
+                del sys.modules[name]
+frame.progress_listeners.append(update)
+assert "RayBatch was disabled" in rendered()
+assert_gone()
+import raybatch_addon as addon
+from raybatch_addon.blender import finals, frame, reports, sessions
+assert_renders()
+"""
+
+NOT_BEGUN = """
+import atexit
+from pathlib import Path
+scene = made(2)
+viewport = shown()
+Path(sys.argv[1], "file").touch()
+scene.render.filepath = sys.argv[1] + "/file/movie"
+if hasattr(scene.render.image_settings, "media_type"):  # Blender 5
+    scene.render.image_settings.media_type = "VIDEO"
+scene.render.image_settings.file_format = "FFMPEG"
+rendered(animation=True)
+assert finals.are_under_way()  # Blender told of a beginning alone
+addon.unregister()
+assert finals.are_under_way() and hasattr(bpy.types.Scene, "raybatch")
+atexit._run_exitfuncs()
+assert_gone()
+print("well")
 """
 
 KEPT = """
@@ -184,6 +237,7 @@ def assert_well(code, *arguments):
     done = run_python(BEGINNING + code, *arguments)
     assert done.returncode == 0 and done.stdout.splitlines()[-1:] == ["well"], done.stdout + done.stderr
     assert "Traceback" not in done.stderr, done.stderr
+    return done
 
 
 @pytest.mark.parametrize("stage", ["render", "build"])
@@ -200,6 +254,16 @@ def test_disabled_by_the_render_itself_goes_when_that_has_ended(place, tmp_path)
 def test_updated_during_a_render_renders_by_its_new_modules(tmp_path):
     """As Blender updates extensions: what was imported is forgotten."""
     assert_well(UPDATED_IN_THE_RENDER, tmp_path)
+
+
+def test_updated_by_the_render_itself_goes_by_its_old_modules(tmp_path):
+    assert_well(UPDATED_BY_THE_RENDER, tmp_path)
+
+
+def test_a_movie_that_cannot_be_written_keeps_nothing_at_exit(tmp_path):
+    """Blender tells of the end of no such render: who disables RayBatch is told that it stays, and it goes at exit."""
+    done = assert_well(NOT_BEGUN, tmp_path)
+    assert done.stderr.count("RayBatch is disabled once it has ended") == 1
 
 
 def test_disabled_between_frames_ends_the_animation(tmp_path):

@@ -2,6 +2,7 @@
 
 import threading
 from contextlib import contextmanager
+from types import SimpleNamespace
 
 import pytest
 
@@ -115,3 +116,31 @@ def test_a_render_whose_end_nobody_reported_holds_viewports_off_no_longer(monkey
     assert finals.are_under_way()
     finals.look()
     assert not finals.are_under_way()
+
+
+@pytest.fixture
+def window(monkeypatch):
+    """A Blender with a window, in which no render has a job of Blender's; its timers."""
+    timers = []
+    calls = SimpleNamespace(is_registered=timers.__contains__, register=lambda function, **_: timers.append(function))
+    app = SimpleNamespace(background=False, is_job_running=lambda _kind: False, timers=calls, handlers=bpy.app.handlers)
+    monkeypatch.setattr(finals, "bpy", SimpleNamespace(app=app))
+    return timers
+
+
+def test_with_a_window_what_waits_for_a_preview_is_called_by_a_timer(window):
+    called = []
+    with finals.under_way():
+        finals.call_once_over(lambda: called.append(1))
+        assert window[0]() is not None and not called
+    assert window[0]() is None and called == [1]
+    assert window[0]() is None and called == [1]
+
+
+def test_with_a_window_a_handler_of_a_render_without_a_job_does_not_end_it(window, monkeypatch):
+    """A script waits for its render: only its own thread knows of it."""
+    monkeypatch.setattr(finals, "_is_job", True)
+    monkeypatch.setattr(finals, "_job_thread", threading.get_ident())
+    assert not finals.wait_for_end(0.0) and finals.are_under_way()
+    monkeypatch.setattr(finals, "_job_thread", 0)
+    assert finals.wait_for_end(0.0)
