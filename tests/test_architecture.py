@@ -119,16 +119,8 @@ def import_targets(path: Path) -> set[Path]:
             base = base.parent
         base = base.joinpath(*(node.module or "").split("."))
         for name in (alias.name for alias in node.names):
-            found = [
-                p
-                for p in (
-                    base / f"{name}.py",
-                    base / name / "__init__.py",
-                    base.with_suffix(".py"),
-                    base / "__init__.py",
-                )
-                if p.is_file()
-            ]
+            places = (base / f"{name}.py", base / name / "__init__.py", base.with_suffix(".py"), base / "__init__.py")
+            found = [p for p in places if p.is_file()]
             assert found, f"{name_of(path)} imports {name} from {base}, which is not there"
             targets |= {found[0], defining(found[0], name)}
     return targets - {path}
