@@ -27,6 +27,7 @@ ROOMS = (
     "core/files.py",
     "core/float32.py",
     "core/version.py",
+    "core/host_memory.py",
     "core/native",
     "core/settings",
     "core/device",

@@ -8,9 +8,8 @@ import bpy
 import numpy as np
 
 from ..core.denoise.picture import NOISY_CATCHER, NOISY_IMAGE
-from ..core.device.devices import host_memory_free
 from ..core.errors import OutOfMemoryError
-from ..core.measure.memory import size_text
+from ..core.host_memory import host_memory_free, size_text
 from ..core.observers import Tile
 from ..core.scene.cryptomatte import matte_fields
 from ..core.scene.description import Scene

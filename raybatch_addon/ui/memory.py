@@ -97,7 +97,7 @@ def geometry_size(scene: bpy.types.Scene, triangles: int | None) -> GeometrySize
 
 
 def _lines(estimate: MemoryEstimate) -> list[str]:
-    from ..core.measure.memory import size_text
+    from ..core.host_memory import size_text
 
     lines = [
         f"Rays: {estimate.path_count:,} x {estimate.path_bytes} bytes, {size_text(estimate.rays)}",

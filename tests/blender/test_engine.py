@@ -13,8 +13,8 @@ bpy = pytest.importorskip("bpy")
 from raybatch_addon.blender import frame, reports, sessions
 from raybatch_addon.blender.result import ResultWriter, register_passes
 from raybatch_addon.blender.status import terminal
-from raybatch_addon.core.device.devices import host_memory_used
 from raybatch_addon.core.errors import SceneError
+from raybatch_addon.core.host_memory import host_memory_used
 from raybatch_addon.export.passes import OWN_PASS_PROPERTIES
 from tests.support.blender_builders import add_object, add_triangle, material_of, node_tree
 from tests.support.blender_watch import watch_engines

@@ -14,6 +14,7 @@ from pathlib import Path
 import warp as wp
 
 from ..errors import DeviceError
+from ..host_memory import host_memory_free, host_memory_peak, host_memory_used
 from .codegen.by_reference import pass_structs_by_reference
 from .codegen.local_arrays import set_local_arrays_once
 from .compiler import compile_apart
@@ -154,36 +155,6 @@ def total_memory(device: wp.Device) -> int:
 def free_memory(device: wp.Device) -> int:
     """Memory that a render may still take on `device` [bytes]."""
     return int(device.free_memory) if device.is_cuda else host_memory_free()
-
-
-def host_memory_free() -> int:
-    """Memory that this process may still take [bytes]; a very large number where the system does not say."""
-    try:
-        # what the kernel could free counts too
-        with open("/proc/meminfo", encoding="ascii") as file:
-            available = next(line for line in file if line.startswith("MemAvailable:"))
-        return int(available.split()[1]) * 1024
-    except (OSError, ValueError, StopIteration):
-        return 2**63 - 1  # unknown here: allocation itself will show
-
-
-def host_memory_peak() -> int:
-    """Largest resident size of this process so far [bytes]; 0 where the system does not say."""
-    try:
-        import resource
-    except ImportError:
-        return 0
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return int(peak if sys.platform == "darwin" else peak * 1024)
-
-
-def host_memory_used() -> int:
-    """Resident size of this process [bytes]; 0 where the system does not say."""
-    try:
-        with open("/proc/self/statm", encoding="ascii") as file:
-            return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-    except (OSError, ValueError, IndexError):
-        return 0
 
 
 def device_memory_peak(device: wp.Device) -> int:

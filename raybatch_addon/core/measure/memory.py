@@ -59,11 +59,3 @@ def film_bytes(frame: Frame, half_count: int) -> tuple[int, int]:
     sums = (layout_of(frame.passes, frame.transparent).count * WINDOW_DIGITS + 1) * 8 * half_count
     pictures = sum(channels_of(name) for name in frame.passes) * 4 * (3 if half_count == 2 else 1)
     return frame.pixel_count * sums, frame.pixel_count * pictures
-
-
-def size_text(size: int) -> str:
-    """A number of bytes with a decimal unit and about three digits."""
-    for unit, factor in (("GB", 10**9), ("MB", 10**6), ("KB", 10**3)):
-        if size >= factor:
-            return f"{size / factor:,.{0 if size >= 100 * factor else 1 if size >= 10 * factor else 2}f} {unit}"
-    return f"{size} bytes"

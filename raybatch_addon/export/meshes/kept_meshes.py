@@ -15,7 +15,7 @@ from dataclasses import replace
 import bpy
 import numpy as np
 
-from ...core.device.devices import host_memory_free
+from ...core.host_memory import host_memory_free
 from ...core.scene.description import Attribute, Mesh
 from ...core.scene.frozen import freeze
 from .attributes import ATTRIBUTE_TYPES, mesh_attributes

@@ -19,9 +19,9 @@ import raybatch_addon
 from benchmarking.in_blender.moving_scene import SIZES, make_moving_scene
 from benchmarking.progress import Steps
 from raybatch_addon.blender import frame, reports
-from raybatch_addon.core.device.devices import host_memory_used
 from raybatch_addon.core.errors import SceneError
 from raybatch_addon.core.film import Film
+from raybatch_addon.core.host_memory import host_memory_used
 from raybatch_addon.core.scene.description import Scene
 from raybatch_addon.export.settings import assign_setting, settings_from
 

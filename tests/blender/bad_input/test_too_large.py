@@ -11,7 +11,7 @@ bpy = pytest.importorskip("bpy")
 from raybatch_addon.blender import reports
 from raybatch_addon.blender.result import check_result_fits
 from raybatch_addon.core.errors import OutOfMemoryError
-from raybatch_addon.core.measure.memory import size_text
+from raybatch_addon.core.host_memory import size_text
 
 # the steps of a person: open the file, render, save
 RENDER = """

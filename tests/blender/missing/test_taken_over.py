@@ -133,10 +133,10 @@ def test_denoising_is_taken_over_with_what_guides_it(scene):
     own.denoising_input_passes, own.denoising_prefilter, own.denoising_quality = "RGB_ALBEDO", "FAST", "BALANCED"
     texts = [each.text(CYCLES) for each in differences(scene, CYCLES) if each.setting.startswith("denoise")]
     assert texts == [
-        "Denoise: ON in Cycles, OFF here",
-        "Passes: ALBEDO in Cycles, ALBEDO_NORMAL here",
-        "Prefilter: FAST in Cycles, ACCURATE here",
-        "Quality: BALANCED in Cycles, HIGH here",
+        "Denoise: On in Cycles, Off here",
+        "Passes: Albedo in Cycles, Albedo and Normal here",
+        "Prefilter: Fast in Cycles, Accurate here",
+        "Quality: Balanced in Cycles, High here",
     ]
     take_over(scene, CYCLES)
     assert (ours.denoise, ours.denoise_inputs, ours.denoise_prefilter) == ("ON", "ALBEDO", "FAST")

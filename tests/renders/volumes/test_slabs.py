@@ -47,7 +47,8 @@ def test_a_half_space_in_the_sun(session):
     lit = slab(DEEP, cosine)
     scene = dataclasses.replace(lit, lights=(scenes.sun(sun), lit.lights[1]), world=scenes.scene().world)
     slant = np.array([np.prod(h_function(each, np.array([cosine, 1.0]))) for each in ALBEDOS])
-    assert_mean(session, scene, sun * ALBEDOS / (4 * np.pi) / (cosine + 1) * slant, **LONG)
+    # of few runs the error is not known well enough: that of the least albedo is 6e-4 of the mean in six
+    assert_mean(session, scene, sun * ALBEDOS / (4 * np.pi) / (cosine + 1) * slant, runs=24, **LONG)
 
 
 @pytest.mark.parametrize("make", [medium, varying], ids=["fixed", "program"])

@@ -16,7 +16,7 @@ from ...bvh.build.scene_tree import splits_triangles
 from ...bvh.memory import GeometrySize
 from ...bvh.node import Layout
 from ...bvh.treelets.cut import CutRule
-from ...measure.memory import size_text
+from ...host_memory import size_text
 from ...settings.settings import RenderSettings
 from .cost_model import batching_cost, costs_of, split_seconds, unbatched_cost
 

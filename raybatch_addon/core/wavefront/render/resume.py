@@ -12,7 +12,8 @@ import warp as wp
 from ...device.devices import free_memory
 from ...errors import OutOfMemoryError, RayBatchError
 from ...film import Film
-from ...measure.memory import film_bytes, size_text
+from ...host_memory import size_text
+from ...measure.memory import film_bytes
 from ...scene.description import Frame
 from ...settings.denoise import DenoiseSettings
 from ...settings.info import INT_MAX, infos_of
