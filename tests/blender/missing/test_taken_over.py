@@ -134,7 +134,7 @@ def test_denoising_is_taken_over_with_what_guides_it(scene):
     texts = [each.text(CYCLES) for each in differences(scene, CYCLES) if each.setting.startswith("denoise")]
     assert texts == [
         "Denoise: On in Cycles, Off here",
-        "Passes: Albedo in Cycles, Albedo and Normal here",
+        "Passes: Albedo in Cycles, Albedo, Normal here",
         "Prefilter: Fast in Cycles, Accurate here",
         "Quality: Balanced in Cycles, High here",
     ]
