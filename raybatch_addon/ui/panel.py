@@ -33,6 +33,17 @@ class EnginePanel:
         return context.engine in cls.COMPAT_ENGINES
 
 
+class WorldPanel(EnginePanel):
+    """A closed panel of the world's tab, where there is a world."""
+
+    bl_context = "world"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context):
+        return super().poll(context) and context.world is not None
+
+
 def is_engine(context: bpy.types.Context) -> bool:
     """Whether RayBatch is the engine of the scene that is shown."""
     return context.scene is not None and context.engine == ENGINE

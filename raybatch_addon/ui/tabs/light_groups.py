@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..panel import EnginePanel, register_all, unregister_all
+from ..panel import EnginePanel, WorldPanel, register_all, unregister_all
 
 
 class RAYBATCH_VIEWLAYER_PT_light_groups(EnginePanel, bpy.types.Panel):
@@ -52,16 +52,10 @@ class RAYBATCH_OBJECT_PT_light_group(EnginePanel, bpy.types.Panel):
         _draw_group(self.layout, context.object, context.view_layer)
 
 
-class RAYBATCH_WORLD_PT_light_group(EnginePanel, bpy.types.Panel):
+class RAYBATCH_WORLD_PT_light_group(WorldPanel, bpy.types.Panel):
     """The group of the world's light."""
 
     bl_label = "Light Group"
-    bl_context = "world"
-    bl_options = {"DEFAULT_CLOSED"}
-
-    @classmethod
-    def poll(cls, context):
-        return super().poll(context) and context.world is not None
 
     def draw(self, context):
         _draw_group(self.layout, context.world, context.view_layer)

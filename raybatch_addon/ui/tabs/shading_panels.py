@@ -7,7 +7,7 @@ from bl_ui.properties_view_layer import ViewLayerAOVPanelHelper
 from bpy_extras.node_utils import find_node_input
 
 from ...export.settings import output_engine
-from ..panel import EnginePanel, register_all, split_layout, unregister_all
+from ..panel import EnginePanel, WorldPanel, register_all, split_layout, unregister_all
 
 
 class RAYBATCH_MATERIAL_PT_settings(EnginePanel, bpy.types.Panel):
@@ -30,9 +30,7 @@ class RAYBATCH_MATERIAL_PT_settings(EnginePanel, bpy.types.Panel):
             layout.prop(context.material.cycles, "emission_sampling")
 
 
-class _WorldPanel(EnginePanel):
-    bl_context = "world"
-    bl_options = {"DEFAULT_CLOSED"}
+class _WorldPanel(WorldPanel):
     settings = ""  # the property of a world, of Cycles' add-on, that the panel shows
 
     @classmethod
@@ -68,16 +66,10 @@ class RAYBATCH_WORLD_PT_settings(_WorldPanel, bpy.types.Panel):
         row.prop(own, "sample_map_resolution", text="Resolution")
 
 
-class RAYBATCH_WORLD_PT_ambient_occlusion(EnginePanel, bpy.types.Panel):
+class RAYBATCH_WORLD_PT_ambient_occlusion(WorldPanel, bpy.types.Panel):
     """How far ambient occlusion looks: the pass, and nodes without a distance of their own."""
 
     bl_label = "Ambient Occlusion"
-    bl_context = "world"
-    bl_options = {"DEFAULT_CLOSED"}
-
-    @classmethod
-    def poll(cls, context):
-        return super().poll(context) and context.world is not None
 
     def draw(self, context):
         split_layout(self.layout).prop(context.world.light_settings, "distance")
