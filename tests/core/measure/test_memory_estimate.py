@@ -6,7 +6,8 @@ import pytest
 
 from raybatch_addon.core.bvh.memory import TREE_BYTES, GeometrySize
 from raybatch_addon.core.bvh.node import Layout
-from raybatch_addon.core.measure.memory import estimate_memory, size_text
+from raybatch_addon.core.host_memory import size_text
+from raybatch_addon.core.measure.memory import estimate_memory
 
 SIZE = GeometrySize(triangles=1_000_000, vertices=500_000, largest=1_000_000, smooth=False)
 
