@@ -22,7 +22,7 @@ from .camera import MatrixKey
 from .kept_graphs import KeptGraphs
 from .nodes.collections import Collections
 from .nodes.compile import compile_graph
-from .world import MAX_BOUNCES, has_nodes, usable_emission
+from .world import has_nodes, limit_of_bounces, usable_emission
 
 # Light to world and scales, as `_placement` has them
 _Place: TypeAlias = tuple[np.ndarray, np.ndarray]
@@ -82,9 +82,6 @@ def export_light(
     if placed is None:
         return None
     transform, scale = placed
-    if not is_portal(obj):
-        _warn_of_limits(obj, name, warnings)
-
     emission, values = _shape(light, scale)
     if values is None:
         text = (
@@ -106,6 +103,7 @@ def export_light(
         emission=strength,
         visibility=object_visibility(obj),
         casts_shadow=bool(light.use_shadow),
+        bounce_max=limit_of_bounces(getattr(light.original, "cycles", None)),
         **values,
     )
 
@@ -208,9 +206,3 @@ def _placed(kind: str, key: MatrixKey) -> tuple[_Place | None, str, bool]:
         x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
     x /= np.linalg.norm(x)
     return (np.column_stack([x, np.cross(z, x), z, position]).astype(np.float32), scale), text, False
-
-
-def _warn_of_limits(obj: bpy.types.Object, name: str, warnings: list[str]) -> None:
-    if getattr(getattr(obj.data, "cycles", None), "max_bounces", MAX_BOUNCES) < MAX_BOUNCES:
-        text = f"{name}: its limit of bounces is not supported; it shines at every bounce"
-        warnings.append(Notice(text, objects=[obj.name]))

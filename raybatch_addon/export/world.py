@@ -16,7 +16,7 @@ from .kept_graphs import KeptGraphs
 from .nodes.collections import Collections
 from .nodes.compile import compile_graph, compile_volume
 
-MAX_BOUNCES = 1024  # of lights in Cycles at first, which means no limit
+_MAX_BOUNCES = 1024  # of lights in Cycles at first, which means no limit
 # Texels around a world that varies, by whose brightness it is sampled: Cycles' number unless an image asks for more
 _SAMPLING_SIZE = 1024
 _SAMPLING_SIZE_MOST = 8192
@@ -57,22 +57,23 @@ def export_world(
     usable = usable_emission(np.array(radiance, float), f"world “{world.name}”", warnings)
     sun = _sun(collections)
     size = _sampling_size(world, collections, sun)
-    if program is not None and size > 0:
-        warnings += _limits(world)
-    return World(usable, _visibility(world), program, size, sun=sun, volume=volume)
-
-
-def _limits(world: bpy.types.World) -> list[Notice]:
-    """What Cycles would leave out of the light of `world`, which varies and is sampled; of others it leaves nothing."""
     own = getattr(world.original, "cycles", None)  # there as long as that add-on is enabled
-    found = []
-    if getattr(own, "max_bounces", MAX_BOUNCES) < MAX_BOUNCES:
-        text = f"world “{world.name}”: its limit of bounces is not supported; it shines at every bounce"
-        found.append(Notice(text, remedy=f"set Max Bounces to {MAX_BOUNCES} in the world's settings of Cycles"))
-    if not getattr(own, "use_shadows", True):
-        text = f"world “{world.name}”: Cast Shadow off is not supported; its light is blocked"
-        found.append(Notice(text, remedy="turn on Cast Shadow in the world's settings of Cycles"))
-    return found
+    return World(
+        usable,
+        _visibility(world),
+        program,
+        size,
+        sun=sun,
+        volume=volume,
+        casts_shadow=getattr(own, "use_shadows", True),
+        bounce_max=limit_of_bounces(own),
+    )
+
+
+def limit_of_bounces(own) -> int | None:
+    """`bounce_max` of the light whose settings of Cycles are `own`; None where it has no limit, or no such settings."""
+    limit = getattr(own, "max_bounces", _MAX_BOUNCES)
+    return limit if limit < _MAX_BOUNCES else None
 
 
 def _world_graph(world: bpy.types.World, collections: Collections) -> _WorldGraph:

@@ -383,6 +383,11 @@ EACH_WIDE_FEATURE = {
     "groups": (linked(lit(), groups=True), {}),
     "groups behind what is transparent": (linked(lit(veil_program()), groups=True), {}),
     "portal of the world": (under_sky(portal=True), {}),
+    "few bounces of lights": (scenes.few_bounces(under_sky(glowing())), {"bounce_max": 3}),
+    "the pass Vector of a panorama": (
+        dataclasses.replace(seen_by(CameraKind.MIRROR_BALL, 0.0), frame=Frame(32, 32, passes=("Combined", "Vector"))),
+        {},
+    ),
     "linked volume": (linked(filled(fog(), cloud()), lights=True, shadows=True, groups=True), {}),
     "sent on elsewhere without a program": (lit(sent_on(with_program=False)), {"bounce_max": 4}),
     "sent on elsewhere, a denoiser's passes": (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -183,4 +184,12 @@ def mixed(frame: Frame | None = None) -> Scene:
             Light("point", LightKind.POINT, translation(-2, -1, 1.5), (1.5, 1.0, 0.5), radius=0.2),
         ],
         world=(0.1, 0.15, 0.25),
+    )
+
+
+def few_bounces(scene: Scene) -> Scene:
+    """`scene`, whose lamps and world paths aim at from their first vertices alone; the world casts no shadow."""
+    lights = tuple(dataclasses.replace(light, bounce_max=0) for light in scene.lights)
+    return dataclasses.replace(
+        scene, lights=lights, world=dataclasses.replace(scene.world, bounce_max=1, casts_shadow=False)
     )

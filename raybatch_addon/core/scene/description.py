@@ -321,6 +321,7 @@ class Light:
     light_sets: int = ALL_LIGHT_SETS  # bits of the light sets that it lights
     shadow_sets: int = ALL_SHADOW_SETS  # bits of the shadow sets that block its light
     light_group: int = -1  # index into `Scene.light_groups`; -1: no group
+    bounce_max: int | None = None  # most bounces of paths from which it is aimed at; None: all
 
 
 class ImageEncoding(IntEnum):
@@ -369,6 +370,8 @@ class World:
     light_group: int = -1  # index into `Scene.light_groups`; -1: no group
     # RECTANGLE, ELLIPSE: openings by which the light of `program` comes to where they shine; they give none themselves
     portals: tuple[Light, ...] = ()
+    casts_shadow: bool = True  # False: where the world is aimed at, nothing is in the way
+    bounce_max: int | None = None  # as that of a `Light`, where it is sampled
 
 
 @dataclass(frozen=True)

@@ -15,13 +15,14 @@ import numpy as np
 
 from ..settings.settings import RenderSettings
 from .description import SCATTERED_RAYS, CameraKind, ClosureKind, LightKind, Scene, Visibility, Volume
-from .linking import RAY_BITS, catchers, links_lights, links_shadows
+from .linking import RAY_BITS, catchers, limits_bounces, links_lights, links_shadows
 from .motion import apart
 from .passes import (
     COST_PASSES,
     OCCLUSION_PASS,
     PASSES,
     SAMPLE_COUNT,
+    VECTOR,
     guides_denoising,
     light_group_passes,
     records_surfaces,
@@ -78,6 +79,7 @@ class SceneFeatures:
     film_transparent: bool = False
     film_glass: bool = False  # a transparent film shows through glass
     passes: tuple[str, ...] = ("Combined",)
+    panorama_vectors: bool = False  # the pass Vector is that of a panorama
     sample_sequence: str = "SOBOL"
     nee: str = "ON"
     mis: bool = True  # light sampling and BSDF sampling are combined
@@ -90,6 +92,7 @@ class SceneFeatures:
     caustics_refractive: bool = True
     light_links: bool = False  # some emitters light some objects alone
     shadow_links: bool = False  # the light of some emitters is blocked by some objects alone
+    light_bounces: bool = False  # some emitters are aimed at from the first vertices of paths alone
     catchers: bool = False  # some surfaces are shadow catchers, and passes show what they catch
     volumes: bool = False  # something fills surfaces or the world
     volume_program: ProgramFeatures = ProgramFeatures()  # needs of the shader graphs of volumes
@@ -231,6 +234,8 @@ class SceneFeatures:
             "filtered glossy": self.filter_glossy,
             "light linking": self.light_links,
             "shadow linking": self.shadow_links,
+            "bounces of lights": self.light_bounces,
+            "vectors of panoramas": self.panorama_vectors,
             "light groups": self.light_groups,
             "shadow catchers": self.catchers,
             "volumes": self.volumes,
@@ -299,6 +304,7 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
         and scene.frame.glass_roughness is not None
         and not SEEN_THROUGH.isdisjoint(kinds),
         passes=tuple(scene.frame.passes),
+        panorama_vectors=surfaces and VECTOR in scene.frame.passes and scene.camera.kind.is_panorama,
         sample_sequence=settings.sample_sequence,
         nee=settings.nee,
         mis=settings.is_on("mis") or settings.nee == "OFF",
@@ -311,6 +317,7 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
         caustics_refractive=settings.is_on("caustics_refractive"),
         light_links=links_lights(scene),
         shadow_links=is_sampled and links_shadows(scene),
+        light_bounces=is_sampled and limits_bounces(scene, settings.bounce_max, world_light),
         catchers=surfaces and shows_catchers(scene.frame.passes) and bool(catchers(scene).any()),
         volumes=bool(volumes),
         volume_program=program_features(

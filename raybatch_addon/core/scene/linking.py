@@ -1,5 +1,5 @@
-"""Objects and emitters that some rays alone see: emitters that light some objects alone, objects that block some light
-alone, catchers.
+"""Objects and emitters that some rays alone see: emitters that light some objects alone or are aimed at from some
+vertices of paths alone, objects that block some light alone, catchers.
 """
 
 from __future__ import annotations
@@ -26,6 +26,14 @@ def links_shadows(scene: Scene) -> bool:
     return any(light.shadow_sets != ALL_SHADOW_SETS for light in scene.lights) or (
         links is not None and bool(np.any(links[:, 2] != np.uint64(ALL_SHADOW_SETS)))
     )
+
+
+def limits_bounces(scene: Scene, bounce_max: int, world_light: bool) -> bool:
+    """Whether some emitters of `scene` are aimed at from the first vertices alone of paths with `bounce_max` bounces.
+    `world_light`: its world is an emitter.
+    """
+    limits = [light.bounce_max for light in scene.lights] + [scene.world.bounce_max] * world_light
+    return any(limit is not None and limit < bounce_max for limit in limits)
 
 
 def catchers(scene: Scene) -> np.ndarray:

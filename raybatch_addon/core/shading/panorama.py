@@ -1,4 +1,4 @@
-"""Directions of panoramic cameras: where a point of the picture looks.
+"""Directions of panoramic cameras: where a point of the picture looks, and where a direction is seen.
 
 The projections are those of Cycles (its manual, "Camera: Panoramic"). A camera looks along its -Z, with +X right and +Y
 up. A point of the picture is (x, y) in [0, 1]^2 from its lower left corner.
@@ -146,6 +146,68 @@ def make_panorama_direction(kind: CameraKind) -> wp.Function:
     along, 0 where it sees nothing; `numbers` and `more` are the halves of `panorama_numbers`.
     """
     return _DIRECTIONS[kind]
+
+
+# Steps of Newton's method for the root of a lens polynomial, as in Cycles
+_ROOT_STEPS = 20
+
+
+@wp.func
+def _polynomial_radius(more: wp.vec4, first: float, theta: float) -> float:
+    """The distance from the middle at which the polynomial of a lens is `theta` [rad]."""
+    r = float(0.0)
+    if more[0] != 0.0:
+        r = (theta - first) / more[0]
+    for _ in range(_ROOT_STEPS):
+        value = first + r * (more[0] + r * (more[1] + r * (more[2] + r * more[3])))
+        slope = more[0] + r * (2.0 * more[1] + r * (3.0 * more[2] + r * 4.0 * more[3]))
+        if slope == 0.0:
+            break
+        step = (theta - value) / slope
+        r += step
+        if not (wp.abs(step) >= 1e-6):
+            break
+    return r
+
+
+@wp.func
+def panorama_place_of(kind: int, numbers: wp.vec4, more: wp.vec4, direction: wp.vec3) -> wp.vec2:
+    """The point of the picture of a panorama of this `CameraKind` that looks along the unit vector `direction` in the
+    camera's axes, the inverse of `panorama_direction_of`; also beyond what the picture shows. Not finite where there is
+    no such point.
+    """
+    x = direction[0]
+    y = direction[1]
+    ahead = -direction[2]
+    if kind == wp.static(int(CameraKind.EQUIRECTANGULAR)):
+        latitude = wp.atan2(y, wp.sqrt(x * x + ahead * ahead))
+        return wp.vec2((wp.atan2(x, ahead) - numbers[0]) / numbers[1], (latitude - numbers[2]) / numbers[3])
+    if kind == wp.static(int(CameraKind.CENTRAL_CYLINDRICAL)):
+        height = y / wp.sqrt(x * x + ahead * ahead)
+        return wp.vec2((wp.atan2(x, ahead) - numbers[0]) / numbers[1], (height - numbers[2]) / numbers[3])
+    if kind == wp.static(int(CameraKind.EQUIANGULAR_CUBEMAP_FACE)):
+        return wp.vec2(
+            0.5 + wp.atan2(x, ahead) * wp.static(2.0 / math.pi), 0.5 + wp.atan2(y, ahead) * wp.static(2.0 / math.pi)
+        )
+    if kind == wp.static(int(CameraKind.MIRROR_BALL)):
+        twice = 2.0 * wp.sqrt(wp.max(0.5 + 0.5 * ahead, 0.0))
+        return wp.vec2(0.5 + 0.5 * x / twice, 0.5 + 0.5 * y / twice)
+    # fisheyes: by the angle from the view axis
+    beside = wp.sqrt(x * x + y * y)
+    theta = wp.atan2(beside, ahead)
+    u = float(0.0)
+    v = float(0.0)
+    if beside > 0.0:
+        u = x / beside
+        v = y / beside
+    if kind == wp.static(int(CameraKind.FISHEYE_EQUIDISTANT)):
+        r = 0.5 * theta / numbers[0]
+        return wp.vec2(0.5 + r * u, 0.5 + r * v)
+    if kind == wp.static(int(CameraKind.FISHEYE_EQUISOLID)):
+        r = wp.sin(0.5 * theta)
+        return wp.vec2(0.5 + r * u / numbers[0], 0.5 + r * v / numbers[1])
+    r = _polynomial_radius(more, numbers[3], -theta)
+    return wp.vec2(0.5 + r * u / numbers[0], 0.5 + r * v / numbers[1])
 
 
 def pixel_angle(kind: CameraKind, panorama: Panorama, window: tuple[float, ...], width: int, height: int) -> float:

@@ -200,6 +200,8 @@ _RARE_FEATURES = {
     "shadow_links": False,
     "light_portals": False,
     "volume_lights": False,
+    "light_bounces": False,
+    "panorama_vectors": False,
     "catchers": False,
 }
 

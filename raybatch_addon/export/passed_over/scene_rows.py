@@ -48,12 +48,6 @@ def _cycles_passes(_scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> str:
     )
 
 
-def _vectors_of_panoramas(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bool:
-    blurs = scene.render.use_motion_blur and layer.use_motion_blur  # then the pass is empty in Cycles too
-    camera = scene.camera.data if scene.camera is not None else None
-    return layer.use_pass_vector and not blurs and getattr(camera, "type", "") == "PANO"
-
-
 def _denoising_data(_scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bool:
     """Whether Cycles would write what its denoiser knows of surfaces since Blender 5.2."""
     own = _cycles_of(layer)
@@ -107,12 +101,6 @@ SCENE_ROWS = (
         _cycles_passes,
         Weight.MISSING,
         "turn them off in the view layer's passes",
-    ),
-    Row(
-        "the pass Vector is 0 in panoramas",
-        _vectors_of_panoramas,
-        Weight.MISSING,
-        "turn it off in the view layer's passes",
     ),
     Row(
         "the passes Denoising Specular Albedo and Denoising Roughness of Cycles are not supported yet and are left out",

@@ -64,6 +64,10 @@ class RAYBATCH_WORLD_PT_settings(_WorldPanel, bpy.types.Panel):
         row = layout.row()
         row.active = own.sampling_method == "MANUAL"
         row.prop(own, "sample_map_resolution", text="Resolution")
+        column = layout.column()
+        column.active = own.sampling_method != "NONE"
+        column.prop(own, "max_bounces")
+        column.prop(own, "use_shadows", text="Cast Shadow")
 
 
 class RAYBATCH_WORLD_PT_ambient_occlusion(WorldPanel, bpy.types.Panel):
@@ -94,6 +98,8 @@ class RAYBATCH_LIGHT_PT_settings(EnginePanel, bpy.types.Panel):
         light = context.light
         column = layout.column()
         column.active = not _is_portal(light)
+        if hasattr(light, "cycles"):
+            column.prop(light.cycles, "max_bounces")
         column.prop(light, "use_shadow", text="Cast Shadow")
         if light.type != "AREA":
             return

@@ -266,6 +266,17 @@ def test_flags(scene):
     )
 
 
+def test_limits_of_bounces(scene):
+    lamp, world = add_light(scene, "POINT"), bpy.data.worlds.new("Sky")
+    assert export(lamp).bounce_max is None
+    assert (export_world(world, []).bounce_max, export_world(world, []).casts_shadow) == (None, True)
+    lamp.data.cycles.max_bounces, world.cycles.max_bounces, world.cycles.use_shadows = 2, 0, False
+    warnings = []
+    assert export(lamp, warnings).bounce_max == 2
+    assert (export_world(world, warnings).bounce_max, export_world(world, warnings).casts_shadow) == (0, False)
+    assert warnings == []
+
+
 def test_lights_that_cannot_be_rendered_are_named(scene):
     def single(obj):
         warnings = []

@@ -108,35 +108,6 @@ def offset_without_subset(scene):
     scene.cycles.sample_offset = 5
 
 
-def lamp_bounces(scene):
-    obj = bpy.data.objects.new("Host", bpy.data.lights.new("Lamp", "POINT"))
-    scene.collection.objects.link(obj)
-    obj.data.cycles.max_bounces = 2
-
-
-def world_bounces(scene):
-    world_of(scene).cycles.max_bounces = 0
-
-
-def world_shadows(scene):
-    world_of(scene).cycles.use_shadows = False
-
-
-def even_world(scene):
-    own = world_of(scene, varies=False).cycles
-    own.max_bounces, own.use_shadows = 0, False
-
-
-def panorama(scene):
-    scene.camera.data.type = "PANO"
-    scene.view_layers[0].use_pass_vector = True
-
-
-def panorama_with_motion_blur(scene):
-    panorama(scene)
-    scene.render.use_motion_blur = True
-
-
 def portal(scene, filled=True):
     _, _, tree, surface = host()
     tree.links.new(tree.nodes.new("ShaderNodeBsdfRayPortal").outputs[0], surface)
@@ -161,10 +132,6 @@ def portal_in_a_foggy_world(scene):
         (animated_seed, "Animated Seed on", SETTING, (), ""),
         (bounces_before_roulette, "Min Light Bounces 3, Min Transparent Bounces 2", SETTING, (), ""),
         (sample_subset, "Sample Subset on, Sample Subset Offset 5", SETTING, (), ""),
-        (lamp_bounces, "limit of bounces", REPLACED, ("Host",), ""),
-        (world_bounces, "world “Sky”: its limit of bounces", REPLACED, (), ""),
-        (world_shadows, "world “Sky”: Cast Shadow", REPLACED, (), ""),
-        (panorama, "Vector", MISSING, (), ""),
         (portal, "Ray Portal", REPLACED, (), "Coat"),
         (denoised, "Denoise is on in Cycles", SETTING, (), ""),
         (denoised_layer, "Denoising is off for the view layer", SETTING, (), ""),
@@ -183,8 +150,6 @@ def test_what_is_not_heard_is_named(scene, change, words, weight, objects, mater
         (no_geometry_offset, "Geometry Offset"),
         (no_bump, "Bump Map Correction"),
         (offset_without_subset, "Sample"),
-        (even_world, "Sky"),
-        (panorama_with_motion_blur, "Vector"),
         (portal_in_a_foggy_world, "Ray Portal"),
         (no_denoised_layer, "Denois"),
     ],

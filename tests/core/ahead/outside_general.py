@@ -78,6 +78,8 @@ SPECIALISED_ON_A_GPU = {
     "linked light": "linked light",
     "light groups": "groups",
     "portals of the world": "portal of the world",
+    "lights with few bounces": "few bounces of lights",
+    "the pass Vector of panoramas": "the pass Vector of a panorama",
     "shadow catchers": "shadow catchers",
     "rays for programs": "rays for programs",
 }

@@ -11,7 +11,7 @@ from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.errors import SceneError
 from raybatch_addon.core.scene.description import Camera, CameraKind, Panorama, SphericalStereo
 from raybatch_addon.core.shading.camera import CameraData, CameraFeatures, make_camera_ray, upload_camera
-from raybatch_addon.core.shading.panorama import make_panorama_direction, panorama_numbers
+from raybatch_addon.core.shading.panorama import make_panorama_direction, panorama_numbers, panorama_place_of
 from tests.support.under_test import BLOCK_DIM, DEVICE
 
 DEVICES = [DEVICE]
@@ -157,6 +157,27 @@ def test_beside_its_circle_a_panorama_sees_nothing():
     round_ones = [PANORAMAS.index(kind) for kind in (CameraKind.MIRROR_BALL, CameraKind.FISHEYE_EQUIDISTANT)]
     seen = looked([(0.01, 0.01), (0.98, 0.97)])
     assert (seen[round_ones] == 0).all() and (seen[PANORAMAS.index(CameraKind.EQUIRECTANGULAR)] != 0).any()
+
+
+@wp.kernel(**KERNEL_OPTIONS)
+def _places_kernel(
+    kind: int, numbers: wp.array(dtype=wp.vec4), look: wp.array(dtype=wp.vec3), out: wp.array(dtype=wp.vec2)
+):
+    i = wp.tid()
+    out[i] = panorama_place_of(kind, numbers[0], numbers[1], look[i])
+
+
+def test_a_panorama_shows_each_direction_where_it_looks_along_it():
+    at = np.random.default_rng(1).uniform(0.2, 0.8, (500, 2)).astype(np.float32)
+    at[:3] = (0.5, 0.5), (0.5, 0.7), (0.3, 0.5)
+    for kind, seen in zip(PANORAMAS, looked(at), strict=True):
+        numbers = np.array(panorama_numbers(kind, SEEN), np.float32).reshape(2, 4)
+        out = wp.zeros(len(at), dtype=wp.vec2, device=DEVICE)
+        given = [wp.array(numbers, dtype=wp.vec4, device=DEVICE), wp.array(seen, dtype=wp.vec3, device=DEVICE)]
+        wp.launch(_places_kernel, len(at), [int(kind), *given], [out], device=DEVICE, block_dim=BLOCK_DIM)
+        there = np.linalg.norm(seen, axis=1) > 0
+        assert there.mean() > 0.9, kind
+        np.testing.assert_allclose(out.numpy()[there], at[there], atol=2e-6, err_msg=kind.name)
 
 
 def test_rays_of_a_panorama_meet_on_the_sphere_of_focus():

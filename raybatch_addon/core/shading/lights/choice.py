@@ -57,6 +57,7 @@ class LitPoint:
     both_sides: int  # 1: light from behind counts too
     receiver: int  # the light set of what is lit, where light is linked; -1: it is seen by all light
     group: int  # of lights that rays meet: -1: all count, else those of this group alone
+    bounce: int  # of the path's vertex, where lights are aimed at from some alone
 
 
 @wp.struct

@@ -39,6 +39,8 @@ class LightLinks:
     group: wp.array(dtype=int)  # of each owner: the number of its group among the passes of groups; -1: none
     group_count: int
     instance_count: int
+    # of each light without mesh, and last of the world: most bounces of paths from which it is aimed at
+    bounces: wp.array(dtype=int)
 
 
 @wp.struct

@@ -18,7 +18,7 @@ from .area_shapes import sample_area_light, sample_parallel_light
 from .cells.cells import sample_cell
 from .choice import ChoiceFeatures, LitPoint, make_light_choice
 from .emitters import CELL
-from .links import blocking_visibility, is_linked, owner_of
+from .links import blocking_visibility, is_aimed_from, is_linked, owner_of
 from .portals.portals import has_portals, sample_through_portals
 from .shapes import (
     LAMP_PROGRAM,
@@ -55,6 +55,7 @@ class LightFeatures:
     shadow_links: bool = False  # some objects alone block the light of some emitters
     light_portals: bool = False  # the world is sampled through portals
     volume_lights: bool = False  # volumes that emit are emitters
+    light_bounces: bool = False  # some emitters are aimed at from the first vertices of paths alone
 
 
 class Lights(NamedTuple):
@@ -74,7 +75,7 @@ def world_light(table: LightTable, found: WorldDirection) -> LightSample:
     s.direction = found.direction
     s.pdf = found.pdf
     s.distance = wp.inf
-    s.casts_shadow = 1
+    s.casts_shadow = table.world_casts_shadow
     s.visibility = table.world_visibility
     s.radiance = wp.vec3(1.0)
     s.program = WORLD_PROGRAM
@@ -228,6 +229,10 @@ def make_lights(features: LightFeatures) -> Lights:
             s.emitter = emitter
             if wp.static(features.light_links):
                 if not is_linked(table, owner_of(table, emitter), point.receiver):
+                    s.pdf = 0.0
+            if wp.static(features.light_bounces):
+                # scattered rays that meet the light count as if it had been found here, as in Cycles
+                if not is_aimed_from(table, emitter, point.bounce):
                     s.pdf = 0.0
             if wp.static(features.shadow_links):
                 s.visibility = s.visibility | blocking_visibility(table, owner_of(table, emitter))

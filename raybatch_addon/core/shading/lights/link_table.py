@@ -11,6 +11,8 @@ from ...scene.passes import LIGHT_GROUP, light_group_passes
 from .choice_table import BLOCK_WIDTH, ChoiceTable
 from .emitters import EmissiveCells
 
+_NO_LIMIT = np.iinfo(np.int32).max  # of bounces
+
 
 def upload_links(
     scene: Scene, choice: ChoiceTable, cells: EmissiveCells | None, triangle_instance: np.ndarray, device: wp.Device
@@ -44,6 +46,9 @@ def upload_links(
             ALL_SHADOW_SETS
         )
         links.shadows = upload(owners.astype(np.int32), int)
+    limits = [light.bounce_max for light in scene.lights] + [None] * len(cell_instance) + [world.bounce_max]
+    if any(limit is not None for limit in limits):
+        links.bounces = upload(np.array([_NO_LIMIT if each is None else each for each in limits], np.int32), int)
     passes = [name.removeprefix(LIGHT_GROUP) for name in light_group_passes(scene.frame.passes)]
     links.group_count = len(passes)
     if passes:

@@ -57,6 +57,19 @@ def blocking_visibility(table: LightTable, owner: int) -> int:
 
 
 @wp.func
+def is_aimed_from(table: LightTable, emitter: int, bounce: int) -> bool:
+    """Whether paths aim at `emitter` from their vertex `bounce`."""
+    if table.choice[0].links.bounces.shape[0] == 0:
+        return True
+    place = emitter
+    if emitter >= table.light_count:
+        if emitter != table.world_emitter:
+            return True
+        place = table.light_count
+    return bounce <= table.choice[0].links.bounces[place]
+
+
+@wp.func
 def group_of(table: LightTable, owner: int) -> int:
     """The number of the group of `owner` among the passes of groups; -1: it is in none."""
     group = int(-1)

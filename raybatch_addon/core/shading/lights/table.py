@@ -95,6 +95,7 @@ class LightTable:
     triangle_program: wp.array(dtype=int)  # 1: the radiance comes from a program; no entries where none does
     world_emitter: int  # -1: the world is not sampled
     world_visibility: int  # `Visibility` bits
+    world_casts_shadow: int
     world: WorldTable
 
 
@@ -174,6 +175,7 @@ def upload_lights(
     if world is not None:
         table.world_emitter = table.emitter_count - 1
         table.world_visibility = int(scene.world.visibility)
+        table.world_casts_shadow = int(scene.world.casts_shadow)
         table.world = world.table
     choice = _choice_table(table, records, strength, triangles, scene=scene, geometry=geometry, world=world, keep=keep)
     upload_links(scene, choice, cells, triangles.instance, device)

@@ -19,7 +19,7 @@ from ..stages.surface.vertex import Vertex
 from ..stages.work import TileWork
 from .colors import ClosuresInView, make_closure_colors
 from .state import PassInputs, add_channels
-from .vectors import motion_vector
+from .vectors import make_motion_vector
 
 
 @wp.func
@@ -109,13 +109,15 @@ def record_background(work: TileWork, paths: Paths, film: FilmTile, path: int):
 
 @functools.cache
 def make_record_surface(
-    features: ClosureFeatures, transparency: bool, colors: bool, catchers: bool = False
+    features: ClosureFeatures, transparency: bool, colors: bool, catchers: bool = False, panoramas: bool = False
 ) -> wp.Function:
     """Function (data, paths, rays, film, path: int, v: Vertex, view: ClosuresInView): what passes show of a surface
     that a path meets before it scatters. Depth, Position and Normal are among them where surfaces may be transparent
-    (`transparency`), the passes of colours with `colors`. With `catchers` copies of paths record nothing.
+    (`transparency`), the passes of colours with `colors`. With `catchers` copies of paths record
+    nothing. `panoramas`: the pass Vector may be that of a panorama.
     """
     let_through = make_bsdf(features).transparency
+    motion_vector = make_motion_vector(panoramas)
     closure_colors = make_closure_colors(features) if colors else None
 
     @wp.func

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import warp as wp
 
 from ...programs.inputs_data import corner_values
-from ...scene.description import Camera, CameraKind, Scene
+from ...scene.description import Camera, CameraKind, Panorama, Scene
+from ...shading.panorama import panorama_numbers, panorama_place_of
 
 
 @wp.struct
 class VectorInputs:
     """Where things are a frame before (0) and a frame after (1); arrays have no entries where nothing of that moves."""
 
-    to_picture: wp.array(dtype=wp.mat44)  # [3]: world to pixels now, before and after; x and y are over w
+    # [3]: world to pixels now, before and after; x and y are over w; of panoramas: world to camera
+    to_picture: wp.array(dtype=wp.mat44)
+    panorama: int  # `CameraKind` of a panorama, else 0
+    projection: wp.vec4  # of a panorama (`panorama_numbers`)
+    projection_more: wp.vec4
+    size: wp.vec2  # of a panorama's picture [pixels]
     maps: wp.array(dtype=wp.mat44)  # [2 * instances]: from the world of now to that of these frames
     turns: wp.array(
         dtype=wp.mat33
@@ -29,6 +37,19 @@ def in_picture(to_picture: wp.mat44, position: wp.vec3) -> wp.vec2:
     seen = wp.vec2(0.0, 0.0)
     if p[3] > 0.0:
         seen = wp.vec2(p[0] / p[3], p[1] / p[3])
+    return seen
+
+
+@wp.func
+def in_panorama(vectors: VectorInputs, which: int, position: wp.vec3) -> wp.vec2:
+    """`in_picture` of a panorama."""
+    p = vectors.to_picture[which] * wp.vec4(position[0], position[1], position[2], 1.0)
+    place = panorama_place_of(
+        vectors.panorama, vectors.projection, vectors.projection_more, wp.normalize(wp.vec3(p[0], p[1], p[2]))
+    )
+    seen = wp.cw_mul(place, vectors.size)
+    if not (wp.abs(seen[0]) < wp.inf and wp.abs(seen[1]) < wp.inf):
+        seen = wp.vec2(0.0, 0.0)
     return seen
 
 
@@ -53,36 +74,52 @@ def moved_to(
     return moved
 
 
-@wp.func
-def motion_vector(
-    vectors: VectorInputs, instance: int, primitive: int, barycentric: wp.vec2, position: wp.vec3
-) -> wp.vec4:
-    """From where a point of a surface is seen to where it is in the frame before, and back to there from where it is in
-    the frame after [pixels], as in Cycles.
+@functools.cache
+def make_motion_vector(panoramas: bool) -> wp.Function:
+    """Function (vectors, instance: int, primitive: int, barycentric: vec2, position: vec3) -> vec4: from where a point
+    of a surface is seen to where it is in the frame before, and back to there from where it is in the frame after
+    [pixels], as in Cycles. `panoramas`: the camera may be one.
     """
-    motion = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    if vectors.to_picture.shape[0] > 0:
-        now = in_picture(vectors.to_picture[0], position)
+
+    @wp.func
+    def seen_at(vectors: VectorInputs, which: int, position: wp.vec3) -> wp.vec2:
+        if wp.static(panoramas):
+            if vectors.panorama != 0:
+                return in_panorama(vectors, which, position)
+        return in_picture(vectors.to_picture[which], position)
+
+    @wp.func
+    def motion_vector(
+        vectors: VectorInputs, instance: int, primitive: int, barycentric: wp.vec2, position: wp.vec3
+    ) -> wp.vec4:
+        now = seen_at(vectors, 0, position)
+        motion = wp.vec4(0.0, 0.0, 0.0, 0.0)
         for frame in range(2):
             there = moved_to(vectors, frame, instance, primitive, barycentric, position)
-            seen = in_picture(vectors.to_picture[1 + frame], there)
+            seen = seen_at(vectors, 1 + frame, there)
             sign = 1.0 - 2.0 * float(frame)
             motion[2 * frame] = sign * (seen[0] - now[0])
             motion[2 * frame + 1] = sign * (seen[1] - now[1])
-    return motion
+        return motion
+
+    return motion_vector
 
 
 def upload_vectors(scene: Scene, device: wp.Device) -> VectorInputs:
-    """What the pass reads of `scene`; nothing where its camera is a panorama, whose vectors are 0."""
+    """What the pass reads of `scene`."""
     vectors, camera, instances = VectorInputs(), scene.camera, scene.instances
-    if camera.kind.is_panorama:
-        return vectors
     transforms, windows = [camera.transform] * 3, [camera.window] * 3
     if camera.frames is not None:
         transforms[1:] = camera.frames
     if camera.window_frames is not None:
         windows[1:] = camera.window_frames
     pictures = [_to_picture(camera, *each, scene.frame.width, scene.frame.height) for each in zip(transforms, windows)]
+    if camera.kind.is_panorama:
+        numbers = panorama_numbers(camera.kind, camera.panorama or Panorama())
+        vectors.panorama = int(camera.kind)
+        vectors.projection, vectors.projection_more = wp.vec4(*numbers[:4]), wp.vec4(*numbers[4:])
+        left, right, bottom, top = (float(each) for each in camera.window)
+        vectors.size = wp.vec2(scene.frame.width / (right - left), scene.frame.height / (top - bottom))
     vectors.to_picture = wp.array(np.array(pictures, np.float32), dtype=wp.mat44, device=device)
     deforming = {i: mesh for i, mesh in enumerate(scene.meshes) if mesh.frames is not None}
     if len(instances) and (instances.frames is not None or deforming):
@@ -112,6 +149,8 @@ def _square(maps: np.ndarray) -> np.ndarray:
 
 
 def _to_picture(camera: Camera, transform: np.ndarray, window: tuple, width: int, height: int) -> np.ndarray:
+    if camera.kind.is_panorama:
+        return np.linalg.inv(_square(np.asarray(transform)))
     left, right, bottom, top = (float(each) for each in window)
     x, y = width / (right - left), height / (top - bottom)
     if camera.kind == CameraKind.PERSPECTIVE:

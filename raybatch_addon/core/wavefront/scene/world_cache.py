@@ -37,21 +37,25 @@ class WorldCache:
     def get(
         self, scene: Scene, device: wp.Device, light_of: Callable[[], WorldLight], beside_rays: bool
     ) -> SampledWorld | None:
-        """The world of `scene`; None for one that is the same everywhere and has no portals, which is not sampled.
+        """The world of `scene`; None for one that is the same everywhere and has no portals, which is not sampled,
+        unless what is aimed at differs from what scattered rays meet: then both have the shares that they have in
+        Cycles.
         `light_of()` computes its brightness, and is called unless this is the world of the last call, with the same
         frozen images. `beside_rays`: nearly each point from which light is aimed at sends a ray that may find the world
         too, and both are weighed against each other.
         """
         varies, has_portals = _may_vary(scene.world), bool(scene.world.portals)
+        in_part = not scene.world.casts_shadow or scene.world.bounce_max is not None
 
         def made() -> SampledWorld | None:
             light = light_of()
             if varies or not is_even(light):
-                return sampled_world(light, device, beside_rays=beside_rays and not (varies or has_portals))
-            return sampled_world(light, device, even=True) if has_portals else None
+                beside = beside_rays and not (varies or has_portals or in_part)
+                return sampled_world(light, device, beside_rays=beside)
+            return sampled_world(light, device, even=True) if has_portals or in_part else None
 
         pixels, values = _key(scene, device)
-        return self._last.get((pixels, (*values, varies, has_portals, beside_rays)), made)
+        return self._last.get((pixels, (*values, varies, has_portals, in_part, beside_rays)), made)
 
 
 def _may_vary(world: World) -> bool:

@@ -83,3 +83,17 @@ def opaque_shadow_of_lamp(scene: bpy.types.Scene) -> None:
     shaded(veil, "ShaderNodeBsdfTransparent", Color=(0.9, 0.7, 0.5, 1)).active_material.use_transparent_shadow = False
     lamp("AREA", (0, 0, 2), energy=60.0, size=2.0)
     look(scene, (0, -5, 3.5), (0, 0, 0.4), lens=45)
+
+
+@feature("Max Bounces of lamps", "Surface", "picture")
+def lamps_with_few_bounces(scene: bpy.types.Scene) -> None:
+    """Two lamps that light what paths meet first alone, and one that lights one bounce more; what mirrors show of them
+    stays, and the share that scattered rays find.
+    """
+    corner(scene)
+    shaded(ball("Mirror", (0.0, -0.6, 0.4), 0.4), "ShaderNodeBsdfAnisotropic", Roughness=0.0)
+    bpy.data.objects["Area"].data.cycles.max_bounces = 0
+    point = lamp("POINT", (-1.5, -0.5, 1.5), energy=60.0, shadow_soft_size=0.2)
+    sun = lamp("SUN", (0, 0, 5), target=(1, 2, 1), energy=1.5, angle=0.3)
+    point.data.cycles.max_bounces, sun.data.cycles.max_bounces = 1, 0
+    point.visible_camera = True

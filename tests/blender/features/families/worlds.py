@@ -214,3 +214,15 @@ def world_by_length(scene: bpy.types.Scene) -> None:
         return _background(graph, (0.6, 0.75, 1.0), far)
 
     _stage(scene, build)
+
+
+@feature("World: Max Bounces", "World", "picture")
+def world_with_few_bounces(scene: bpy.types.Scene) -> None:
+    _stage(scene, _map(sky_map()))
+    scene.world.cycles.max_bounces = 0
+
+
+@feature("World: without shadow", "World", "picture")
+def world_without_shadow(scene: bpy.types.Scene) -> None:
+    _stage(scene, _map(sky_map()))
+    scene.world.cycles.use_shadows = False

@@ -62,6 +62,7 @@ class AimFeatures:
     light_groups: bool = False
     light_portals: bool = False
     volume_lights: bool = False
+    light_bounces: bool = False
     catchers: bool = False
 
 
@@ -86,6 +87,8 @@ def make_choose_light(features: AimFeatures) -> wp.Function:
         point = lit_point(v.surface.position, v.side)
         if wp.static(features.light_links):
             point.receiver = v.receiver
+        if wp.static(features.light_bounces):
+            point.bounce = v.bounce
         u = sample_3d(v.key, v.pixel.sample, v.dimension + wp.uint32(LIGHT))
         light = light_sample(data.lights, data.geometry, point, u[2], wp.vec2(u[0], u[1]))
         if wp.static(features.catchers):

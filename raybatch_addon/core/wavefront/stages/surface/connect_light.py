@@ -93,7 +93,7 @@ def make_connect_light(features: SurfaceFeatures, in_volume: bool = False) -> wp
             if distance > 0.0:
                 direction = ray / distance
             distance = wp.max(distance - light.distance_error, 0.0)
-        if wp.static(features.lamp_programs):
+        if wp.static(features.lamp_programs or features.world_light):
             if light.casts_shadow == 0:  # nothing may be in its way
                 distance = 0.0
         rays.origin[slot] = origin

@@ -42,6 +42,8 @@ class SurfaceFeatures:
     light_groups: bool = False
     light_portals: bool = False  # the world is sampled through portals
     volume_lights: bool = False  # volumes that emit are emitters
+    light_bounces: bool = False  # some emitters are aimed at from the first vertices of paths alone
+    panorama_vectors: bool = False  # the pass Vector is that of a panorama
     moving: bool = False  # instances or vertices move
     film_glass: bool = False  # a transparent film shows through glass
     film_holes: bool = False  # surfaces cut holes into a film that has alpha

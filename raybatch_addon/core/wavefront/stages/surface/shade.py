@@ -108,7 +108,9 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
     record_surface = None
     if features.records_surfaces:
         colors = shows_colors(features.passes)
-        record_surface = make_record_surface(kinds, features.transparency, colors, features.catchers)
+        record_surface = make_record_surface(
+            kinds, features.transparency, colors, features.catchers, features.panorama_vectors
+        )
     change = make_change(kinds, features.filter_glossy)
     note_clear = make_note_clear(kinds)
     leave_out_caustics = make_leave_out_caustics(kinds, features.caustics_reflective, features.caustics_refractive)
