@@ -316,6 +316,7 @@ FEATURES = {
     "hidden from some rays": (lit(visibility=int(Visibility.ALL & ~Visibility.SHADOW)), {}),
     "passes": (lit(frame=Frame(32, 32, passes=("Combined", "Normal", "Depth"), transparent=True)), {}),
     "everything": (scenes.mixed(Frame(32, 32, passes=("Combined", "Normal"), transparent=True)), {}),
+    "lifted shadow rays": (scenes.lifted(scenes.mixed(Frame(32, 32))), {}),
     "subsurface": (lit(wax()), {}),
     "subsurface without light": (lit(wax()), {"nee": "OFF"}),
     "lamp program": (lit(lamp=lamp_program()), {}),

@@ -279,6 +279,7 @@ class Instances:
     links: np.ndarray | None = None
     frames: InstanceMaps | None = None  # a frame before and a frame after, for the pass Vector; None: none moves
     light_group: np.ndarray | None = None  # index into `Scene.light_groups`, int32, shape [n]; -1, or None: no group
+    terminator: np.ndarray | None = None  # `terminator_lift`'s cutoff, 0..1, float32, shape [n]; 0, or None: none
 
     def __len__(self) -> int:
         return len(self.mesh)

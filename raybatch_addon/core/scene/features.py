@@ -15,7 +15,7 @@ import numpy as np
 
 from ..settings.settings import RenderSettings
 from .description import SCATTERED_RAYS, CameraKind, ClosureKind, LightKind, Scene, Visibility, Volume
-from .linking import RAY_BITS, catchers, limits_bounces, links_lights, links_shadows
+from .linking import RAY_BITS, catchers, lifts_shadow_rays, limits_bounces, links_lights, links_shadows
 from .motion import apart
 from .passes import (
     COST_PASSES,
@@ -75,6 +75,7 @@ class SceneFeatures:
     surfaces: bool = False  # there is something to hit
     instancing: bool = False  # more than one mesh tree: instances or objects hidden from some rays
     smooth_normals: bool = False
+    terminator: bool = False  # shadow rays begin above the faces of some smooth meshes
     curves: bool = False  # some primitives are segments of curves, or points
     film_transparent: bool = False
     film_glass: bool = False  # a transparent film shows through glass
@@ -223,6 +224,7 @@ class SceneFeatures:
             "motion of objects": self.moving,
             "surfaces": self.surfaces,
             "instancing": self.instancing,
+            "lifts of shadow rays": self.terminator,
             "smooth normals": self.smooth_normals,
             "curves": self.curves,
             "transparent film": self.film_transparent,
@@ -297,6 +299,7 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
         surfaces=surfaces,
         instancing=surfaces and needs_instancing(scene),
         smooth_normals=any(scene.meshes[i].corner_normals is not None for i in used_meshes),
+        terminator=is_sampled and surfaces and lifts_shadow_rays(scene),
         curves=any(scene.meshes[i].radii is not None and len(scene.meshes[i].triangles) > 0 for i in used_meshes),
         film_transparent=scene.frame.transparent,
         film_glass=surfaces

@@ -36,6 +36,15 @@ def limits_bounces(scene: Scene, bounce_max: int, world_light: bool) -> bool:
     return any(limit is not None and limit < bounce_max for limit in limits)
 
 
+def lifts_shadow_rays(scene: Scene) -> bool:
+    """Whether shadow rays begin above the faces of some smooth meshes of `scene`."""
+    cutoffs = scene.instances.terminator
+    if cutoffs is None:
+        return False
+    smooth = np.array([mesh.corner_normals is not None and mesh.radii is None for mesh in scene.meshes], bool)
+    return bool(np.any(smooth[scene.instances.mesh] & (cutoffs > 0)))
+
+
 def catchers(scene: Scene) -> np.ndarray:
     """Which instances of `scene` are shadow catchers: bool, shape [n]."""
     return scene.instances.visibility >> CATCHER_SHIFT & int(Visibility.ALL) != 0

@@ -83,6 +83,7 @@ def _general_features(on_gpu: bool) -> SceneFeatures:
         surfaces=True,
         instancing=True,
         smooth_normals=True,
+        terminator=True,
         curves=True,
         film_transparent=True,
         passes=tuple(passes),

@@ -287,6 +287,7 @@ class PlacementCollector:
             of_instancer=of_instancer,
             links=links,
             light_group=self._groups.get(obj.lightgroup, -1),
+            terminator=getattr(obj, "shadow_terminator_geometry_offset", 0.0),
         )
 
     def _mesh(self, obj: _Object, data: bpy.types.ID, asked: list[tuple[str, str]]) -> int | None:

@@ -43,6 +43,7 @@ class Template:
     of_instancer: tuple[tuple[int, str], ...] = ()
     links: ObjectLinks = ObjectLinks()
     light_group: int = -1  # as in `Instances.light_group`
+    terminator: float = 0.0  # as in `Instances.terminator`
 
 
 @dataclass(kw_only=True)
@@ -102,6 +103,7 @@ class Placements:
             links = np.array(sets, np.uint64)[usable]
         if self.grouped:
             groups = np.array([each.light_group for each in self.templates], np.int32)[usable]
+        cutoffs = np.array([each.terminator for each in self.templates], np.float32)[usable]
         return Instances(
             mesh,
             np.ascontiguousarray(transform[usable]),
@@ -112,6 +114,7 @@ class Placements:
             attributes=self._attributes(usable),
             links=links,
             light_group=groups,
+            terminator=cutoffs if cutoffs.any() else None,
         )
 
     def with_attributes(self, light: Light, values: tuple[tuple[int, tuple[float, ...]], ...]) -> Light:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import bpy
-import numpy as np
 
 from ...core.scene.notice import Weight
 from ..meshes.smoke import smoke_domain
@@ -28,16 +27,6 @@ def _shifts_terminator(obj: bpy.types.Object) -> bool:
     return obj.type in _SURFACES and getattr(obj, "shadow_terminator_shading_offset", 0.0) > 0
 
 
-def _offsets_shadow_rays(obj: bpy.types.Object) -> bool:
-    """Whether shadow rays of a mesh would begin elsewhere than by Cycles' own choice, which has hardly an effect."""
-    prop = obj.bl_rna.properties.get("shadow_terminator_geometry_offset")
-    if prop is None or obj.type != "MESH" or obj.shadow_terminator_geometry_offset in (0.0, prop.default):
-        return False
-    smooth = np.zeros(len(obj.data.polygons), bool)
-    obj.data.polygons.foreach_get("use_smooth", smooth)
-    return bool(smooth.any())
-
-
 def _reads_grids_smoothly(obj: bpy.types.Object) -> bool:
     if obj.type != "VOLUME" and (obj.type != "MESH" or smoke_domain(obj) is None):
         return False
@@ -57,13 +46,6 @@ OBJECT_ROWS = (
         _shifts_terminator,
         Weight.REPLACED,
         "set Shading Offset to 0 in the object's Shading settings, and give the mesh more faces",
-    ),
-    Row(
-        "Geometry Offset of the shadow terminator is not supported; shadow rays of these begin at their faces, as at "
-        "0: {found}",
-        _offsets_shadow_rays,
-        Weight.SETTING,
-        "set Geometry Offset to 0 in the object's Shading settings",
     ),
     Row(
         "Cubic interpolation of volumes is not supported; grids of these are read linearly: {found}",

@@ -1,4 +1,6 @@
-"""Panels of materials, worlds and lights for what Blender shows to its own engines alone, and passes of materials."""
+"""Panels of materials, worlds, lights and objects for what Blender shows to its own engines alone, and passes of
+materials.
+"""
 
 from __future__ import annotations
 
@@ -79,6 +81,21 @@ class RAYBATCH_WORLD_PT_ambient_occlusion(WorldPanel, bpy.types.Panel):
         split_layout(self.layout).prop(context.world.light_settings, "distance")
 
 
+class RAYBATCH_OBJECT_PT_shadow_terminator(EnginePanel, bpy.types.Panel):
+    """Where shadow rays begin on a smooth mesh."""
+
+    bl_label = "Shadow Terminator"
+    bl_context = "object"
+    bl_parent_id = "OBJECT_PT_shading"
+
+    @classmethod
+    def poll(cls, context):
+        return super().poll(context) and context.object is not None and context.object.type not in ("LIGHT", "CAMERA")
+
+    def draw(self, context):
+        split_layout(self.layout).prop(context.object, "shadow_terminator_geometry_offset", text="Geometry Offset")
+
+
 def _is_portal(light: bpy.types.Light) -> bool:
     return light.type == "AREA" and getattr(getattr(light, "cycles", None), "is_portal", False)
 
@@ -148,6 +165,7 @@ _classes = (
     RAYBATCH_WORLD_PT_ray_visibility,
     RAYBATCH_WORLD_PT_settings,
     RAYBATCH_WORLD_PT_ambient_occlusion,
+    RAYBATCH_OBJECT_PT_shadow_terminator,
     RAYBATCH_LIGHT_PT_settings,
     RAYBATCH_LIGHT_PT_nodes,
     RAYBATCH_VIEWLAYER_PT_aov,

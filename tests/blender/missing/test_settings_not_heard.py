@@ -19,11 +19,9 @@ def found(words: str) -> list:
     return [each for each in every if words in each]
 
 
-def host(smooth: bool = False):
+def host():
     """A square with a material of one node, and that material's tree and Surface socket."""
     obj = add_grid("Host", 1)
-    for polygon in obj.data.polygons:
-        polygon.use_smooth = smooth
     material = material_of(obj, "Coat")
     return obj, material, *node_tree(material)
 
@@ -58,18 +56,6 @@ def world_of(scene, varies: bool = True, fog: bool = False):
 
 def shading_offset(_scene):
     host()[0].shadow_terminator_shading_offset = 0.25
-
-
-def geometry_offset(_scene):
-    host(smooth=True)[0].shadow_terminator_geometry_offset = 0.5
-
-
-def geometry_offset_of_what_is_flat(_scene):
-    host()[0].shadow_terminator_geometry_offset = 0.5
-
-
-def no_geometry_offset(_scene):
-    host(smooth=True)[0].shadow_terminator_geometry_offset = 0.0
 
 
 def bump(_scene, kind="ShaderNodeBump", links=True):
@@ -126,7 +112,6 @@ def portal_in_a_foggy_world(scene):
     ("change", "words", "weight", "objects", "material"),
     [
         (shading_offset, "Shading Offset", REPLACED, ("Host",), ""),
-        (geometry_offset, "Geometry Offset", SETTING, ("Host",), ""),
         (bump, "Bump Map Correction", REPLACED, ("Host",), "Coat"),
         (normal_map, "Bump Map Correction", REPLACED, ("Host",), "Coat"),
         (animated_seed, "Animated Seed on", SETTING, (), ""),
@@ -146,8 +131,6 @@ def test_what_is_not_heard_is_named(scene, change, words, weight, objects, mater
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (geometry_offset_of_what_is_flat, "Geometry Offset"),
-        (no_geometry_offset, "Geometry Offset"),
         (no_bump, "Bump Map Correction"),
         (offset_without_subset, "Sample"),
         (portal_in_a_foggy_world, "Ray Portal"),

@@ -26,8 +26,8 @@ FIELDS = (
 
 @wp.struct
 class LightLinks:
-    """Receivers of emitters' light, and the groups that emitters are in; arrays that a scene does not need have no
-    entries.
+    """Receivers of emitters' light, how shadow rays to them begin, and the groups that emitters are in; arrays that a
+    scene does not need have no entries.
 
     Owners of light are lights without mesh, cells of volumes among them, then instances, and last the world.
     """
@@ -39,6 +39,7 @@ class LightLinks:
     group: wp.array(dtype=int)  # of each owner: the number of its group among the passes of groups; -1: none
     group_count: int
     instance_count: int
+    terminator: wp.array(dtype=float)  # of each instance: `Instances.terminator`
     # of each light without mesh, and last of the world: most bounces of paths from which it is aimed at
     bounces: wp.array(dtype=int)
 

@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 
 from ...scene.description import ALL_SHADOW_SETS, Scene
-from ...scene.linking import links_lights, links_shadows
+from ...scene.linking import lifts_shadow_rays, links_lights, links_shadows
 from ...scene.passes import LIGHT_GROUP, light_group_passes
 from .choice_table import BLOCK_WIDTH, ChoiceTable
 from .emitters import EmissiveCells
@@ -46,6 +46,9 @@ def upload_links(
             ALL_SHADOW_SETS
         )
         links.shadows = upload(owners.astype(np.int32), int)
+    if lifts_shadow_rays(scene):
+        is_mesh = np.array([mesh.radii is None for mesh in scene.meshes])[instances.mesh]
+        links.terminator = upload(np.where(is_mesh, instances.terminator, 0).astype(np.float32), float)
     limits = [light.bounce_max for light in scene.lights] + [None] * len(cell_instance) + [world.bounce_max]
     if any(limit is not None for limit in limits):
         links.bounces = upload(np.array([_NO_LIMIT if each is None else each for each in limits], np.int32), int)

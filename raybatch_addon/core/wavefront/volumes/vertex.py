@@ -67,7 +67,7 @@ def make_aim_in_volume(features: VolumeFeatures) -> wp.Function:
             paths.shadow_history[path] = paths.history[path]
         volumes.state.shadow_inside[path] = inside
         volumes.state.shadow_segment[path] = 0
-        return connect_light(limits, paths, rays, path, v, light, value)
+        return connect_light(data, limits, paths, rays, path, v, light, value)
 
     return aim_in_volume
 

@@ -24,6 +24,25 @@ def terminator(scene: bpy.types.Scene) -> None:
     look(scene, (0, -4.5, 2.2), (0, 0, 0.85), lens=50)
 
 
+@feature("Shadow Terminator: Geometry Offset", "Surface", "picture")
+def geometry_offset(scene: bpy.types.Scene) -> None:
+    """Balls of few faces under a low light: with an offset and without, of two sizes of one mesh, wider than high, and
+    of a material that light comes through.
+    """
+    _sun(scene, 0.2)
+    floor()
+    for x, offset in ((-1.5, 0.4), (-0.5, 0.0)):
+        made = diffuse(ball(f"Ball {x}", (x, 0, 0.5), 0.48, segments=10, rings=5), (0.8, 0.6, 0.4))
+        made.shadow_terminator_geometry_offset = offset
+    again = made.copy()
+    again.location, again.scale, again.shadow_terminator_geometry_offset = (0.5, 0, 0.5), (1.0, 0.8, 0.7), 0.2
+    scene.collection.objects.link(again)
+    clear = ball("Clear", (1.5, 0, 0.5), 0.48, segments=10, rings=5)
+    material_graph(clear, lambda graph: graph.value("ShaderNodeBsdfTranslucent", {"Color": (0.5, 0.8, 0.6)}))
+    clear.scale = (0.9, 1.0, 1.1)
+    look(scene, (0, -4.5, 1.8), (0, 0, 0.5), lens=45)
+
+
 @feature("Smooth normals: glossy and glass", "Surface", "picture")
 def terminator_glossy(scene: bpy.types.Scene) -> None:
     _sun(scene)

@@ -15,8 +15,10 @@ from ....shading.lights.visibility import is_lit_in_part
 from ....shading.surface import spawn_origin
 from ...passes.light import divide_shadow_ray, divide_volume_shadow_ray, make_add_light
 from ...rays import Paths, Status, bounce_of
+from ...scene.shading_data import SceneData
 from ..limits import PathLimits, clamped, has_light
 from .features import SurfaceFeatures
+from .lift import make_lift, make_lit_side
 from .vertex import Vertex
 
 _SHADOW_NEW = int(Status.SHADOW_NEW)
@@ -37,26 +39,34 @@ def lit_value(value: wp.vec3, diffuse: wp.vec3, visibility: int, reflected: bool
 
 @functools.cache
 def make_connect_light(features: SurfaceFeatures, in_volume: bool = False) -> wp.Function:
-    """Function (limits, paths, rays, path: int, v: Vertex, light: LightSample, bsdf: BsdfValue) -> int: sends a shadow
-    ray to `light`, in whose direction the BSDF is `bsdf`; the status bit that submits it, or 0.
+    """Function (data, limits, paths, rays, path: int, v: Vertex, light: LightSample, bsdf: BsdfValue) -> int: sends a
+    shadow ray to `light`, in whose direction the BSDF is `bsdf`; the status bit that submits it, or 0.
     `in_volume`: the vertex is one of a volume.
     """
     programs = features.programs
     sample_weight = light_weights(features.mis)[0]
+    lift_of = make_lift(features.instancing, features.moving) if features.terminator else None
+    side_of = make_lit_side(features.terminator and not in_volume)
     add_light = make_add_light(features.splits_light, features.light_groups)
 
     @wp.func
     def connect_light(
-        limits: PathLimits, paths: Paths, rays: Rays, path: int, v: Vertex, light: LightSample, bsdf: BsdfValue
+        data: SceneData,
+        limits: PathLimits,
+        paths: Paths,
+        rays: Rays,
+        path: int,
+        v: Vertex,
+        light: LightSample,
+        bsdf: BsdfValue,
     ) -> int:
         value = bsdf.value
         weight = 1.0 / light.pdf
         if is_lit_in_part(light.visibility):
             # lobes whose rays do not see the light are not lit by it; this strategy alone finds such a light
             if wp.static(not in_volume):  # such lights shine into volumes all the same
-                value = lit_value(
-                    bsdf.value, bsdf.diffuse, light.visibility, wp.dot(light.direction, v.frame.geometric_normal) > 0.0
-                )
+                side = side_of(data, rays, path, v.frame, light.direction)
+                value = lit_value(bsdf.value, bsdf.diffuse, light.visibility, wp.dot(light.direction, side) > 0.0)
         elif light.delta == 0:
             weight = sample_weight(light.pdf, bsdf.pdf) / light.pdf
             if wp.static(features.shadow_links):
@@ -72,7 +82,7 @@ def make_connect_light(features: SurfaceFeatures, in_volume: bool = False) -> wp
                 if wp.static(in_volume):
                     divide_volume_shadow_ray(paths, path, v.bounce)
                 else:
-                    reflected = wp.dot(light.direction, v.frame.geometric_normal) > 0.0
+                    reflected = wp.dot(light.direction, side_of(data, rays, path, v.frame, light.direction)) > 0.0
                     diffuse = bsdf.diffuse
                     if is_lit_in_part(light.visibility):
                         diffuse = lit_value(diffuse, diffuse, light.visibility, reflected)
@@ -82,7 +92,10 @@ def make_connect_light(features: SurfaceFeatures, in_volume: bool = False) -> wp
                 contribution = clamped(limits, contribution, bounce_of(paths.status[path]) + 1)
             add_light(paths, path, contribution, bounce_of(paths.status[path]) + 1, True)
             return 0
-        origin = spawn_origin(v.surface.position, v.surface.error, v.frame.geometric_normal, light.direction)
+        begin = v.surface.position
+        if wp.static(features.terminator and not in_volume):
+            begin += lift_of(data, rays, path, v.frame, light.direction, v.surface.time)
+        origin = spawn_origin(begin, v.surface.error, v.frame.geometric_normal, light.direction)
         slot = paths.status.shape[0] + path
         direction = light.direction
         distance = light.distance

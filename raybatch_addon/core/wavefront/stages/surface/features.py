@@ -29,6 +29,7 @@ class SurfaceFeatures:
     instancing: bool
     smooth_normals: bool
     curves: bool
+    terminator: bool
     sample_sequence: str
     passes: tuple[str, ...]
     clamping: bool

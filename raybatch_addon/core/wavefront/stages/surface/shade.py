@@ -70,6 +70,7 @@ from .connect_light import make_connect_light
 from .emission import make_gather_emission
 from .features import SurfaceFeatures
 from .history import history_after
+from .lift import make_lit_frame
 from .portal import pass_portal
 from .program import fixed_closure_count, fixed_closures, make_surface_program, program_of, shading_point
 from .vertex import VertexFeatures, make_vertex
@@ -87,8 +88,7 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
     """
     choose_light = make_choose_light(aims) if aims else None
     sampler = make_sampler(features.sample_sequence)
-    sample_1d = sampler.sample_1d
-    sample_3d = sampler.sample_3d
+    sample_1d, sample_3d = sampler.sample_1d, sampler.sample_3d
     vertex = make_vertex(narrow(features, VertexFeatures))
     kinds = ClosureFeatures(features.closures, features.half_glass)
     bsdf = make_bsdf(kinds)
@@ -96,7 +96,7 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
     bsdf_holdout = bsdf.holdout
     lights = make_lights(narrow(features, LightFeatures))
     gather_emission = make_gather_emission(bsdf.emission, lights.hit_pdf, light_weights(features.mis)[1], features)
-    connect_light = make_connect_light(features)
+    connect_light, lit_frame = make_connect_light(features), make_lit_frame(features.terminator)
     programs = features.programs
     run_surface = make_surface_program(programs)
     run_filtered = make_filtered_program(programs)
@@ -281,14 +281,15 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
                 wi = scattered.direction
                 wanted = scattered.lobe != 0 and (scattered.lobe & DELTA) == 0
             if wanted:
-                mixture = mix(closures, first, end, lobes, data.materials.albedo, frame, wo, wi)
+                about = lit_frame(data, rays, path, frame, wi, turn)
+                mixture = mix(closures, first, end, lobes, data.materials.albedo, about, wo, wi)
                 if turn == 1:
                     scattered = complete(scattered, mixture)
                     if wp.static(features.splits_light):
                         first_value = value(mixture)
                 else:
                     if wp.static(features.shadow_rays):
-                        status = status | connect_light(limits, paths, rays, path, v, light, value(mixture))
+                        status = status | connect_light(data, limits, paths, rays, path, v, light, value(mixture))
             turn += 1
         if wp.static(features.splits_light):
             if paths.passes.shape[0] > 0 and v.bounce == 0 and (scattered.lobe & (TRANSPARENT | SUBSURFACE)) == 0:
