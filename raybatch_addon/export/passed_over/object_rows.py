@@ -23,6 +23,14 @@ def _casts_caustics(obj: bpy.types.Object) -> bool:
     return bool(getattr(getattr(lamp, "cycles", None), "is_caustics_light", False))
 
 
+def _is_aimed_at_alone(obj: bpy.types.Object) -> bool:
+    """Whether scattered rays would not meet a lamp that has a size."""
+    if obj.type != "LIGHT" or getattr(getattr(obj.data, "cycles", None), "use_multiple_importance_sampling", True):
+        return False
+    size = {"SUN": "angle", "AREA": "size"}.get(obj.data.type, "shadow_soft_size")
+    return getattr(obj.data, size) > 0 and not getattr(obj.data.cycles, "is_portal", False)
+
+
 def _shifts_terminator(obj: bpy.types.Object) -> bool:
     return obj.type in _SURFACES and getattr(obj, "shadow_terminator_shading_offset", 0.0) > 0
 
@@ -59,6 +67,12 @@ OBJECT_ROWS = (
         _casts_caustics,
         Weight.SETTING,
         "turn off Shadow Caustics of the light",
+    ),
+    Row(
+        "Multiple Importance off is not heard: mirrors and clear glass show these lamps all the same: {found}",
+        _is_aimed_at_alone,
+        Weight.SETTING,
+        "turn it on in the lamp's settings of Cycles",
     ),
     Row(
         "Volume Scatter of Ray Visibility is not heard; light that volumes scatter meets these all the same: {found}",

@@ -83,10 +83,17 @@ def _simplified(scene: bpy.types.Scene, _layer: bpy.types.ViewLayer) -> str:
     return unlike_new(own, "texture_limit_render", "texture_resolution_render", "use_camera_cull", "use_distance_cull")
 
 
+def _world(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bpy.types.World | None:
+    return (getattr(layer, "world_override", None) or scene.world) if layer.use_sky else None
+
+
 def _unscattered_world(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bool:
-    world = (getattr(layer, "world_override", None) or scene.world) if layer.use_sky else None
-    seen = getattr(world, "cycles_visibility", None)
+    seen = getattr(_world(scene, layer), "cycles_visibility", None)
     return not getattr(seen, "scatter", True)
+
+
+def _caustics_of_world(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bool:
+    return getattr(getattr(_world(scene, layer), "cycles", None), "is_caustics_light", False)
 
 
 SCENE_ROWS = (
@@ -95,6 +102,12 @@ SCENE_ROWS = (
         _unscattered_world,
         Weight.SETTING,
         "turn it on in the world's settings of Cycles",
+    ),
+    Row(
+        "shadow caustics of Cycles are not supported: the world's light comes through glass by whole paths alone",
+        _caustics_of_world,
+        Weight.SETTING,
+        "turn off Shadow Caustics in the world's settings of Cycles",
     ),
     Row(
         "these passes of Cycles are not supported yet and stay empty: {found}",

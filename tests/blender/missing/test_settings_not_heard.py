@@ -9,7 +9,7 @@ from raybatch_addon.core.scene.notice import Weight, by_weight
 from raybatch_addon.export.scene import export_scene
 from tests.support.blender_builders import add_grid, material_of, node_tree
 
-REPLACED, SETTING, MISSING = Weight.REPLACED, Weight.SETTING, Weight.MISSING
+REPLACED, SETTING = Weight.REPLACED, Weight.SETTING
 
 
 def found(words: str) -> list:
@@ -94,6 +94,20 @@ def offset_without_subset(scene):
     scene.cycles.sample_offset = 5
 
 
+def lamp_without_mis(scene, size=0.1):
+    obj = bpy.data.objects.new("Host", bpy.data.lights.new("Lamp", "POINT"))
+    scene.collection.objects.link(obj)
+    obj.data.shadow_soft_size, obj.data.cycles.use_multiple_importance_sampling = size, False
+
+
+def point_without_mis(scene):
+    lamp_without_mis(scene, 0.0)
+
+
+def world_caustics(scene):
+    world_of(scene).cycles.is_caustics_light = True
+
+
 def portal(scene, filled=True):
     _, _, tree, surface = host()
     tree.links.new(tree.nodes.new("ShaderNodeBsdfRayPortal").outputs[0], surface)
@@ -117,6 +131,8 @@ def portal_in_a_foggy_world(scene):
         (animated_seed, "Animated Seed on", SETTING, (), ""),
         (bounces_before_roulette, "Min Light Bounces 3, Min Transparent Bounces 2", SETTING, (), ""),
         (sample_subset, "Sample Subset on, Sample Subset Offset 5", SETTING, (), ""),
+        (lamp_without_mis, "Multiple Importance", SETTING, ("Host",), ""),
+        (world_caustics, "the world's light comes through glass", SETTING, (), ""),
         (portal, "Ray Portal", REPLACED, (), "Coat"),
         (denoised, "Denoise is on in Cycles", SETTING, (), ""),
         (denoised_layer, "Denoising is off for the view layer", SETTING, (), ""),
@@ -131,6 +147,7 @@ def test_what_is_not_heard_is_named(scene, change, words, weight, objects, mater
 @pytest.mark.parametrize(
     ("change", "words"),
     [
+        (point_without_mis, "Multiple Importance"),
         (no_bump, "Bump Map Correction"),
         (offset_without_subset, "Sample"),
         (portal_in_a_foggy_world, "Ray Portal"),

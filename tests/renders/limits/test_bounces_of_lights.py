@@ -15,6 +15,7 @@ from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.tier import why_not_general
 from tests.support import scenes
+from tests.support.under_test import DEVICE
 
 pytestmark = pytest.mark.usefixtures("general_kernels")
 SETTINGS = RenderSettings(sample_count=16, bounce_max=3)
@@ -23,7 +24,7 @@ ON_GPU = SimpleNamespace(is_cuda=True)
 
 @pytest.fixture(scope="module")
 def session():
-    made = Session("cpu")
+    made = Session(DEVICE)
     yield made
     made.close()
 
