@@ -103,7 +103,8 @@ class Placements:
             links = np.array(sets, np.uint64)[usable]
         if self.grouped:
             groups = np.array([each.light_group for each in self.templates], np.int32)[usable]
-        cutoffs = np.array([each.terminator for each in self.templates], np.float32)[usable]
+        smooth = [each.corner_normals is not None for each in self.meshes]
+        cutoffs = np.array([each.terminator * smooth[each.mesh] for each in self.templates], np.float32)[usable]
         return Instances(
             mesh,
             np.ascontiguousarray(transform[usable]),

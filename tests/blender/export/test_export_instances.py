@@ -133,6 +133,19 @@ def test_instances_are_seen_by_rays_that_see_the_object_and_its_instancer(scene)
     assert visibility == Visibility.ALL & ~Visibility.SHADOW & ~Visibility.CAMERA
 
 
+def test_geometry_offsets_are_those_of_objects_whose_meshes_are_smooth():
+    flat, smooth = add_triangle(), add_grid("Smooth", 1)
+    assert exported().instances.terminator is None
+    for polygon in smooth.data.polygons:
+        polygon.use_smooth = True
+    flat.shadow_terminator_geometry_offset = smooth.shadow_terminator_geometry_offset = 0.25
+    scene = exported()
+    cutoffs = dict(
+        zip((scene.object_names[i] for i in scene.instances.object), scene.instances.terminator, strict=True)
+    )
+    assert cutoffs == {flat.name: 0.0, "Smooth": 0.25}
+
+
 def test_hidden_and_excluded_objects_are_left_out(scene):
     add_triangle("Hidden").hide_render = True
     excluded = add_triangle("Excluded")
