@@ -40,7 +40,6 @@ from ..volumes.upload import UploadedVolumes, upload_volumes
 from .paged_tree import PagedTree
 from .scene_cache import BuiltGeometry, GeometryRequest, SceneCache
 from .shading_data import SceneData
-from .unchanged import emission_key
 from .world_cache import WorldCache
 
 
@@ -147,12 +146,7 @@ class DeviceScene:
         on_stage("lights")
         emitted, world, lamps = _program_light(data, scene, features, shading, device, cache.world)
         emits = [emits_light(material, emitted is not None) for material in scene.materials]
-        if any(emits):
-            key = emission_key(scene, emits, features.programs.ops, device.alias)
-            triangles = cache.emissive.get(key, lambda: find_emissive_triangles(scene, emitted))
-        else:
-            cache.emissive.drop_large()
-            triangles = find_emissive_triangles(scene, emitted)
+        triangles = cache.emissive.get(scene, emits, device.alias, lambda: find_emissive_triangles(scene, emitted))
         lights = upload_lights(
             scene,
             device,

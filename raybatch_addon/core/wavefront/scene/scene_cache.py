@@ -34,10 +34,10 @@ from ...scene.moved import with_motion
 from ...settings.settings import RenderSettings
 from ...shading.images.image_upload import ImageCache, UploadedImages, device_bytes_of
 from ...shading.lights.choice_table import ChoiceTable, choice_tree_bytes
-from ...shading.lights.emitters import EmissiveTriangles
 from ..plan.plan import Method, TracingPlan, cut_rule
 from ..volumes.upload import VolumeCache
 from .fingerprint import Fingerprint
+from .kept_emitters import KeptEmitters
 from .kept_inputs import KeptInputs
 from .moved_instances import Placed, follow_moved
 from .paged_tree import PagedTree
@@ -115,7 +115,7 @@ class SceneCache:
         self.volumes = VolumeCache()
         self.arrays = KeptArrays()  # of programs and materials
         self.inputs = KeptInputs()  # what programs of surfaces read of the scene
-        self.emissive: LastSmall[EmissiveTriangles] = LastSmall(lambda made: made.bytes)
+        self.emissive = KeptEmitters()
         self.emissive_arrays: LastSmall[list[wp.array]] = LastSmall(_bytes_of_arrays)  # the same on the device
         self.light_tree: LastSmall[ChoiceTable] = LastSmall(choice_tree_bytes)
         self._displaced = DisplacedMeshes()

@@ -10,11 +10,11 @@ import numpy as np
 from ...device.bulk import digest_of
 from ...programs.inputs_data import CAMERA_OPS, corner_arrays
 from ...programs.op import op_named
-from ...scene.description import Image, Material, Scene
+from ...scene.description import Image, Mesh, Scene
 from ...scene.features import scene_volumes
 from ...scene.flatten import IDENTITY, is_mirrored_where_baked
-from ...scene.frozen import Same, fact, is_frozen
-from ...scene.motion import apart, deforming_meshes
+from ...scene.frozen import Same, is_frozen
+from ...scene.motion import deforming_meshes
 from ...scene.program import Program
 from ...shading.volumes.grids import grid_digest
 
@@ -78,22 +78,13 @@ class Last(Generic[Made]):
 
 
 def inputs_key(
-    scene: Scene,
-    ops: Sequence[str],
-    device: str,
-    places: Sequence[np.ndarray] | None = None,
-    meshes: np.ndarray | None = None,
+    scene: Scene, ops: Sequence[str], device: str, places: Sequence[np.ndarray] | None = None
 ) -> tuple[list[np.ndarray | None], tuple]:
     """What the inputs of programs with `ops` follow from (`upload_inputs`), but for the camera: arrays and values.
 
-    `places`: what counts of where instances are (default: all of it). `meshes`: which meshes count, bool, shape [n]
-    (default: all).
+    `places`: what counts of where instances are (default: all of it).
     """
-    arrays: list[np.ndarray | None] = []
-    for i, mesh in enumerate(scene.meshes):
-        if meshes is None or meshes[i]:
-            arrays += [mesh.positions, mesh.triangles, mesh.triangle_slot, mesh.base_positions]
-            arrays += corner_arrays(mesh, ops)
+    arrays = [array for mesh in scene.meshes for array in arrays_read(mesh, ops)]
     instances = scene.instances
     placed = [instances.mesh, instances.slot_first, scene.slot_materials]
     placed += [instances.transform] if places is None else places
@@ -113,6 +104,11 @@ def inputs_key(
     return arrays, values
 
 
+def arrays_read(mesh: Mesh, ops: Iterable[str]) -> list[np.ndarray | None]:
+    """What programs with `ops` read of a mesh."""
+    return [mesh.positions, mesh.triangles, mesh.triangle_slot, mesh.base_positions, *corner_arrays(mesh, ops)]
+
+
 def kept_inputs_key(scene: Scene, ops: Sequence[str], device: str) -> tuple[list[np.ndarray | None], tuple]:
     """The same, but for maps between the spaces of objects and the world, which follow from places alone."""
     places = [is_mirrored_where_baked(scene)]
@@ -120,43 +116,6 @@ def kept_inputs_key(scene: Scene, ops: Sequence[str], device: str) -> tuple[list
         places.append((np.asarray(scene.instances.transform) != IDENTITY).any((1, 2)))
         places.append(deforming_meshes(scene))
     return inputs_key(scene, ops, device, places)
-
-
-def _emitting_meshes(scene: Scene, emits: Sequence[bool]) -> np.ndarray:
-    """Whether a mesh has, in any of its instances, a material that may emit: bool, shape [mesh_count]."""
-    # number of emitting materials before each slot
-    before = np.concatenate([[0], np.cumsum(np.asarray(emits, bool)[scene.slot_materials])])
-    slots = [1 if mesh.triangle_slot is None else fact(mesh.triangle_slot, _slot_count) for mesh in scene.meshes]
-    instances = scene.instances
-    end = np.minimum(instances.slot_first + np.array(slots, np.int64)[instances.mesh], len(before) - 1)
-    shining = before[end] > before[instances.slot_first]
-    return np.bincount(instances.mesh[shining], minlength=len(scene.meshes)) > 0
-
-
-def _slot_count(slots: np.ndarray) -> int:
-    return int(slots.max(initial=-1)) + 1
-
-
-def emission_key(
-    scene: Scene, emits: Sequence[bool], ops: Sequence[str], device: str
-) -> tuple[list[np.ndarray | None], tuple]:
-    """What the emissive triangles follow from: arrays and values. `emits`: whether each material may emit.
-
-    Of meshes that do not emit neither shape nor place counts.
-    """
-    emitting_meshes = _emitting_meshes(scene, emits)
-    shining = emitting_meshes[scene.instances.mesh]
-    places = [emitting_meshes, scene.instances.transform[shining]]
-    arrays, values = inputs_key(scene, ops, device, places, emitting_meshes)
-    arrays += [mesh.corner_normals for mesh, counts in zip(scene.meshes, emitting_meshes) if counts]
-    pictures = [pixels for image in scene.images for pixels in pictures_of(image)]
-    kinds = tuple((int(image.encoding), tuple(number for number, _ in image.tiles or ())) for image in scene.images)
-    emitting = [material if emits_light else None for material, emits_light in zip(scene.materials, emits)]
-    materials = tuple(material and _light_of(material) for material in emitting)
-    seen = camera_key(scene, [material.program for material in emitting if material])
-    # what moves is no emitter, wherever it goes
-    shown = digest_of([scene.instances.visibility, apart(scene)])
-    return arrays + pictures, (values, kinds, materials, seen, shown)
 
 
 def _motion(scene: Scene) -> list[np.ndarray]:
@@ -210,8 +169,3 @@ def images_of(scene: Scene, programs: Iterable[Program | None]) -> tuple[Image, 
 def pictures_of(image: Image) -> list[np.ndarray | None]:
     """The pixels of `image`, or of each of its tiles."""
     return [image.pixels] if image.tiles is None else [pixels for _, pixels in image.tiles]
-
-
-def _light_of(material: Material) -> tuple:
-    program = material.program
-    return (material.closures, program and (program.instructions, program.constants.tobytes()))

@@ -31,7 +31,8 @@ def set_triangles(
     returns arrays that are made, or those that were made before of the same frozen arrays and values.
     """
     frozen = [triangles.radiance] if len(triangles) else []
-    values = device.alias, digest_of([visibility]) if len(triangles) else b""
+    # the same triangles may be those of instances with other numbers
+    values = device.alias, digest_of([visibility, triangles.instance_first]) if len(triangles) else b""
     arrays = keep((frozen, values), lambda: _upload_triangles(triangles, visibility, device))
     for name, array in zip(_NAMES, arrays, strict=True):
         setattr(table, name, array)
