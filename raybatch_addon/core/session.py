@@ -41,8 +41,9 @@ from .wavefront.render.rendering import RenderEvents, Rendering, snapshot_watche
 from .wavefront.render.resume import ResumeState, check_samples, film_to_fill
 from .wavefront.render.workers import WorkersFor
 from .wavefront.scene.device_scene import DeviceScene
+from .wavefront.scene.geometry_request import GeometryRequest
 from .wavefront.scene.kept_scene import KeptScene, asked_of
-from .wavefront.scene.scene_cache import GeometryRequest, SceneCache
+from .wavefront.scene.scene_cache import SceneCache
 from .wavefront.tier import choose_tier
 
 

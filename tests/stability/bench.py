@@ -27,7 +27,8 @@ from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.plan.plan import Memory, plan_tracing
 from raybatch_addon.core.wavefront.rays import allocate_rays
 from raybatch_addon.core.wavefront.scene.device_scene import DeviceScene
-from raybatch_addon.core.wavefront.scene.scene_cache import GeometryRequest, SceneCache
+from raybatch_addon.core.wavefront.scene.geometry_request import GeometryRequest
+from raybatch_addon.core.wavefront.scene.scene_cache import SceneCache
 from raybatch_addon.core.wavefront.tracers.buckets import tracer as batching
 from raybatch_addon.core.wavefront.tracers.choose import make_tracer, tracer_kernels
 from raybatch_addon.core.wavefront.tracers.interface import Tracer

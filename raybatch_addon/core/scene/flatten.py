@@ -6,13 +6,14 @@ without transforms. A mesh that is placed more often stays in object space, once
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..device.bulk import add_rows, copy_rows
 from .description import Mesh, Scene
-from .linking import RAY_BITS
+from .grouping.groups import Group, Member, baked_instances, groups_of
 from .motion import KEY_FLOATS, apart, deforming_meshes, motion_keys, moving_maps
 from .segments import pack_segments
 
@@ -25,7 +26,7 @@ class Merged:
 
     visibility: int  # `Visibility` bits, which all of them share
     triangle_first: int  # their triangles are contiguous in `FlatGeometry.triangles`
-    triangle_count: int
+    triangle_count: int  # with those of empty places, which nothing meets
     instance: np.ndarray  # instance ids in the order of their triangles, int32, shape [n]
     # first triangle of each instance, counted from `triangle_first`, int32, shape [n]
     instance_triangle_first: np.ndarray
@@ -66,30 +67,30 @@ class FlatGeometry:
     curves: bool = False  # whether some triangles are segments of curves, as `segments.py` packs them
 
 
-def flatten(scene: Scene) -> FlatGeometry:
-    """Arrays of all geometry that `scene` uses."""
-    instances = scene.instances
-    uses = (
-        np.bincount(instances.mesh, minlength=len(scene.meshes)) if len(instances) else np.zeros(len(scene.meshes), int)
-    )
+def flatten(scene: Scene, groups: Sequence[Group] | None = None) -> FlatGeometry:
+    """Arrays of all geometry that `scene` uses; its baked instances are in `groups` (default: `groups_of` it)."""
+    instances, baked = scene.instances, baked_instances(scene)
     filled = np.array([len(mesh.triangles) > 0 for mesh in scene.meshes], bool)
     alive = filled[instances.mesh] if len(instances) else np.zeros(0, bool)
-    baked = alive & (uses[instances.mesh] == 1) & ~apart(scene) if len(instances) else alive
-    seen = instances.visibility & RAY_BITS
 
     chunks: list[MeshChunk] = []
     merged: list[Merged] = []
     mesh_position: dict[int, int] = {}
     triangle_first = 0
-    for visibility in sorted(set(seen[baked].tolist()), reverse=True):
-        members = np.flatnonzero(baked & (seen == visibility)).astype(np.int32)
-        starts, start = [], 0
-        for i in members:
-            mesh_position[int(instances.mesh[i])] = len(chunks)
-            chunks.append(baked_mesh(scene.meshes[instances.mesh[i]], instances.transform[i]))
-            starts.append(start)
+    for group in groups_of(scene) if groups is None else groups:
+        members, starts, start = [], [], 0
+        for member in group.members:
+            i = member.instance
+            if i < 0:
+                chunks.append(_empty_place(member))
+            else:
+                mesh_position[int(instances.mesh[i])] = len(chunks)
+                chunks.append(baked_mesh(scene.meshes[instances.mesh[i]], instances.transform[i]))
+                members.append(i)
+                starts.append(start)
             start += len(chunks[-1].triangles)
-        merged.append(Merged(visibility, triangle_first, start, members, np.array(starts, np.int32)))
+        ids, firsts = np.array(members, np.int32), np.array(starts, np.int32)
+        merged.append(Merged(group.visibility, triangle_first, start, ids, firsts))
         triangle_first += start
     shared = np.flatnonzero(alive & ~baked).astype(np.int32)
     for mesh in np.flatnonzero(np.bincount(instances.mesh[shared])).tolist():
@@ -152,6 +153,13 @@ def _keep(mesh: Mesh) -> MeshChunk:
     if mesh.radii is not None:
         return _segments(mesh, mesh.positions, mesh.radii)
     return MeshChunk(mesh.positions, mesh.triangles, mesh.corner_normals, mesh.triangle_slot)
+
+
+def _empty_place(member: Member) -> MeshChunk:
+    """As many vertices and triangles, all in one point."""
+    positions = np.empty((member.vertex_count, 3), np.float32)
+    positions[:] = member.point
+    return MeshChunk(positions, np.zeros((member.triangle_count, 3), np.int32), None, None)
 
 
 def _segments(mesh: Mesh, positions: np.ndarray, radii: np.ndarray) -> MeshChunk:

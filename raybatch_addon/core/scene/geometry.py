@@ -120,6 +120,7 @@ def _corners(positions: np.ndarray, triangles: np.ndarray, device: wp.Device) ->
     return _alias(on_host, device) if device.is_cuda else on_host
 
 
+_BY_INSTANCE = ("instance_transform", "instance_slot_first", "slot_materials")
 _BY_TRIANGLE = ("triangles", "positions", "corner_normals", "triangle_slot")
 
 
@@ -171,6 +172,16 @@ def update_geometry(geometry: Geometry, flat: FlatGeometry, scene: Scene, cut_an
         if array.size == len(values):
             wp.copy(array, wp.array(values, dtype=dtype, device="cpu", copy=False))
         else:
+            setattr(geometry, name, wp.array(values, dtype=dtype, device=device))
+
+
+def update_instances(geometry: Geometry, flat: FlatGeometry, scene: Scene) -> None:
+    """Make `geometry` hold the instances of `flat`, which has the same meshes, none of which moves."""
+    device = geometry.triangles.device
+    geometry.instancing = int(needs_instancing(scene))
+    geometry.instance_mesh = wp.array(flat.instance_mesh, dtype=int, device=device)
+    for name, values, dtype in _what_moves(flat, scene):
+        if name in _BY_INSTANCE:
             setattr(geometry, name, wp.array(values, dtype=dtype, device=device))
 
 

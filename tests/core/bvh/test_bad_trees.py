@@ -21,7 +21,7 @@ from raybatch_addon.core.scene.geometry import upload_geometry
 from raybatch_addon.core.scene.validate import COORDINATE_MAX, EXTENT_MIN, checked_scene
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.rays import allocate_rays
-from raybatch_addon.core.wavefront.scene import scene_cache
+from raybatch_addon.core.wavefront.scene import scene_cache, shown_instances
 from raybatch_addon.core.wavefront.tracers.unbatched import trace_stage
 from tests.support import scenes
 
@@ -192,7 +192,7 @@ def test_a_mesh_of_2_28_triangles_on_a_small_device(session, monkeypatch):
     before = session.render(lit(scenes.sphere()), SETTINGS)
     with monkeypatch.context() as small:
         small.setattr(memory, "total_memory", lambda device: 8 * 10**9)
-        small.setattr(scene_cache, "flatten", lambda scene: pytest.fail("memory was asked for"))
+        small.setattr(shown_instances, "flatten", lambda *of: pytest.fail("memory was asked for"))
         with pytest.raises(
             OutOfMemoryError,
             match=r"268,435,456 triangles need at least \d\d\.\d\d GB with their trees, "
@@ -278,7 +278,7 @@ def test_a_build_that_runs_out_of_memory(session, device, monkeypatch, where):
     message = r"triangles need at least .* GB with their trees, and .* GB free; use fewer"
     with monkeypatch.context() as full:
         if where == "geometry":
-            full.setattr(scene_cache, "flatten", refuse)
+            full.setattr(shown_instances, "flatten", refuse)
         elif where == "builder":
             full.setattr(build_sah, "np", FullNumpy())
             message = r"the tree over \d,\d\d\d triangles could not get \d[\d,]+ bytes beside 0 that it has; close"

@@ -20,7 +20,8 @@ from raybatch_addon.core.wavefront.plan.plan import Method, TracingPlan
 from raybatch_addon.core.wavefront.plan.tracing import Tracing
 from raybatch_addon.core.wavefront.rays import allocate_paths, bytes_per_path
 from raybatch_addon.core.wavefront.scene.device_scene import DeviceScene
-from raybatch_addon.core.wavefront.scene.scene_cache import GeometryRequest, SceneCache
+from raybatch_addon.core.wavefront.scene.geometry_request import GeometryRequest
+from raybatch_addon.core.wavefront.scene.scene_cache import SceneCache
 from tests.support import scenes
 
 SETTINGS = RenderSettings()

@@ -25,7 +25,8 @@ from raybatch_addon.core.wavefront.order.ray_order import order_bytes
 from raybatch_addon.core.wavefront.plan.plan import Method, TracingPlan
 from raybatch_addon.core.wavefront.rays import Paths, bytes_per_path, needed_arrays
 from raybatch_addon.core.wavefront.scene.device_scene import DeviceScene
-from raybatch_addon.core.wavefront.scene.scene_cache import GeometryRequest, SceneCache
+from raybatch_addon.core.wavefront.scene.geometry_request import GeometryRequest
+from raybatch_addon.core.wavefront.scene.scene_cache import SceneCache
 from raybatch_addon.core.wavefront.scheduler import Rectangle, water_marks
 from raybatch_addon.core.wavefront.stages import generate
 from tests.support import scenes

@@ -104,7 +104,7 @@ def build_scene_tree(
         mesh_ranges=mesh_ranges,
         meshes=[trees.build(part) for part in mesh_parts(flat)],
     )
-    _assemble(built, trees, flat, entries_of(flat, visibility), device, fresh=True)
+    assemble(built, trees, flat, entries_of(flat, visibility), device, fresh=True)
     built.note(len(built.meshes), 0, start)
     return built
 
@@ -141,7 +141,7 @@ def refit_scene_tree(
             built.meshes[i] = None
         for i in worse:
             built.meshes[i] = trees.build(parts[i])
-    _assemble(built, trees, flat, entries_of(flat, visibility), device, fresh=bool(worse))
+    assemble(built, trees, flat, entries_of(flat, visibility), device, fresh=bool(worse))
     built.note(len(worse), len(moved) - len(worse), start)
 
 
@@ -164,7 +164,7 @@ def refit_moved(
         mesh = built.meshes[i]
         if not trees.refit(mesh, [(first - mesh.part.triangle_first, count) for first, count in spans]):
             return False
-    _assemble(built, trees, flat, entries_of(flat, visibility), device, fresh=False)
+    assemble(built, trees, flat, entries_of(flat, visibility), device, fresh=False)
     built.note(0, len(moved), start)
     return True
 
@@ -186,7 +186,7 @@ def layout_for(device: wp.Device) -> Layout:
     return Layout.QUANTISED if device.is_cuda else Layout.BOXES
 
 
-def _assemble(
+def assemble(
     built: BuiltTree, trees: MeshTrees, flat: FlatGeometry, entries: Entries, device: wp.Device, fresh: bool
 ) -> None:
     """Put mesh trees, top level and entries together; with `fresh` mesh trees, all of them move to new arrays."""
@@ -260,7 +260,7 @@ def _assemble(
     built.tree = tree
     built.top_first = top.first if top else [0]
     built.box = np.stack([times.whole[:, 0].min(0), times.whole[:, 1].max(0)])
-    built.statistics = _description(built, top_size // vectors_per_node)
+    built.statistics = _description(built, flat, top_size // vectors_per_node)
 
 
 def _range_count(built: BuiltTree, trees: MeshTrees, times: OverTime, device: wp.Device) -> int:
@@ -338,15 +338,16 @@ def _joined(blocks: list[wp.array], room: int, device: wp.Device) -> tuple[wp.ar
     return joined, parts
 
 
-def _description(built: BuiltTree, top_count: int) -> dict[str, Any]:
-    """Figures of the trees for statistics; `top_count` nodes are the top level's."""
-    meshes, tree = built.meshes, built.tree
+def _description(built: BuiltTree, flat: FlatGeometry, top_count: int) -> dict[str, Any]:
+    """Figures of the trees over `flat` for statistics; `top_count` nodes are the top level's."""
+    meshes, tree, sizes = built.meshes, built.tree, np.diff(flat.mesh_triangle_first)
+    baked = sum(int(sizes[flat.instance_mesh[group.instance]].sum()) for group in flat.merged)  # without empty places
     costly = max(meshes, key=lambda mesh: mesh.sah)
     return {
         "layout": built.layout.value,
         "trees": len(meshes),
         "entries": tree.entry_count,
-        "triangles": sum(mesh.part.triangle_count for mesh in meshes),
+        "triangles": baked + sum(mesh.part.triangle_count for mesh in meshes[len(flat.merged) :]),
         "nodes": sum(mesh.node_count * (1 + (mesh.ranges.count if mesh.ranges else 0)) for mesh in meshes) + top_count,
         "bytes": (tree.nodes.size + tree.triangles.size) * VECTOR_BYTES,
         "depth": max(mesh.depth for mesh in meshes),

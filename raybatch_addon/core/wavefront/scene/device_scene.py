@@ -37,8 +37,9 @@ from ..passes.state import PassInputs, upload_pass_inputs
 from ..plan.plan import Choice, TracingPlan
 from ..plan.tracing import Tracing
 from ..volumes.upload import UploadedVolumes, upload_volumes
+from .geometry_request import GeometryRequest
 from .paged_tree import PagedTree
-from .scene_cache import BuiltGeometry, GeometryRequest, SceneCache
+from .scene_cache import BuiltGeometry, SceneCache
 from .shading_data import SceneData
 from .world_cache import WorldCache
 

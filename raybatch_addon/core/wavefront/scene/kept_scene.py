@@ -23,7 +23,7 @@ from ...settings.settings import SETTINGS, RenderSettings
 from ..plan.plan import Method
 from ..plan.tracing import Tracing
 from .device_scene import DeviceScene
-from .scene_cache import GeometryRequest
+from .geometry_request import GeometryRequest
 
 # Arrays that may change are looked at in each render, together up to this size [bytes]
 _LOOSE_MOST = 1 << 24

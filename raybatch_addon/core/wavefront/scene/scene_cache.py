@@ -7,9 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
-import numpy as np
 import warp as wp
 
 from ...bvh.build.scene_tree import BuiltTree, build_scene_tree, refit_scene_tree
@@ -20,27 +18,27 @@ from ...bvh.pages.residency import Residency, staging_bytes_of
 from ...bvh.traverse.reference import BuiltReference, build_reference
 from ...bvh.treelets.cut import CutRule
 from ...bvh.treelets.tree import TreeletTree, cut_scene_tree
-from ...device.bulk import digest_of
 from ...device.devices import free_memory
 from ...displacement.displaced import DisplacedMeshes
 from ...displacement.evaluate import Move
 from ...kept_arrays import KeptArrays
 from ...programs.inputs_data import bytes_of
 from ...scene.description import Image, Scene
-from ...scene.flatten import FlatGeometry, flatten
+from ...scene.flatten import FlatGeometry
 from ...scene.frozen import Same
 from ...scene.geometry import Geometry, update_geometry, upload_geometry
 from ...scene.moved import with_motion
-from ...settings.settings import RenderSettings
 from ...shading.images.image_upload import ImageCache, UploadedImages, device_bytes_of
 from ...shading.lights.choice_table import ChoiceTable, choice_tree_bytes
 from ..plan.plan import Method, TracingPlan, cut_rule
 from ..volumes.upload import VolumeCache
 from .fingerprint import Fingerprint
+from .geometry_request import GeometryRequest, geometry_of, still_of
 from .kept_emitters import KeptEmitters
 from .kept_inputs import KeptInputs
 from .moved_instances import Placed, follow_moved
 from .paged_tree import PagedTree
+from .shown_instances import ShownInstances, grouped, show
 from .unchanged import LastSmall
 from .world_cache import WorldCache
 
@@ -51,7 +49,7 @@ IMAGE_SHARE = 0.5
 BuiltGeometry = BuiltReference | BuiltTree | PagedTree
 
 
-@dataclass
+@dataclass(kw_only=True)
 class Kept:
     """The geometry and tree of a frame."""
 
@@ -60,7 +58,9 @@ class Kept:
     built: BuiltGeometry
     treelets: TreeletTree | None = None  # of `built`, where rays wait at treelets in memory
     cut: CutRule | None = None  # that they were cut by
-    shown: Same | None = None  # what of the scene it was made of
+    same: Same | None = None  # what of the scene it was made of
+    shows: ShownInstances | None = None  # which instances, by its trees
+    kind: tuple = ()  # `GeometryRequest.kind` that it was made for
     placed: Placed | None = None  # where its parts lie; None where the next frame is to be looked at anyway
 
     @property
@@ -76,28 +76,6 @@ class Kept:
                 + staging_bytes_of(scene, pool.slot_count, pool.device)
             )
         return 0
-
-
-@dataclass(frozen=True, kw_only=True)
-class GeometryRequest:
-    """A request for a scene's geometry."""
-
-    settings: RenderSettings
-    plan: TracingPlan
-    layout: Layout
-    instancing: bool  # as the kernels that shade (`SceneFeatures.instancing`)
-    page_folder: Path  # for geometry that lies on disk
-    cancelled: Callable[[], bool] = lambda: False  # asked on any thread while pages are built, which it ends
-
-    def kind(self) -> tuple:
-        """The choices that a tree depends on."""
-        plan = self.plan
-        paged = (
-            (plan.geometry_budget, plan.geometry_store, cut_rule(plan, self.settings))
-            if plan.method is Method.PAGED
-            else ()
-        )
-        return (self.instancing, plan.method is Method.REFERENCE, self.settings.spatial_splits, self.layout, *paged)
 
 
 class SceneCache:
@@ -195,7 +173,8 @@ class SceneCache:
         if whole:
             check_memory(size, request.layout, device, all_of_it=True)
         with explained_memory_errors(size, request.layout, device):
-            flat = flatten(scene)
+            before = self._last
+            shows, flat = grouped(scene, _shown_before(before), _may_show(before, request, device))
             fingerprint = Fingerprint.of(flat, scene, request.kind())
             with self._lock:
                 # nothing is kept until the new one is whole: not what an error left half done, nor two of them
@@ -204,16 +183,21 @@ class SceneCache:
                     self.inputs.clear()  # of triangles that are there no more
                 if (
                     last is None
+                    or last is not before
                     or not _serves(last.built, request.plan)
-                    or not _follow(last, fingerprint, flat, scene, device)
+                    or not _follow(last, fingerprint, shows, flat, scene, request, device)
                 ):
-                    del last
+                    del last, before
                     self.inputs.clear()
                     if whole:
                         check_memory(size, request.layout, device, all_of_it=False)
+                    if shows.is_follower:
+                        shows, flat = grouped(scene, None, False)
+                        fingerprint = Fingerprint.of(flat, scene, request.kind())
                     last = _build(fingerprint, flat, scene, request, device)
+                    last.shows, last.kind = shows, request.kind()
                 own = isinstance(last.built, BuiltTree)
-                self._keep(last, own and Placed.of(flat, scene, *_still_of(scene, request)), scene, request, device)
+                self._keep(last, own and Placed.of(flat, scene, *still_of(scene, request)), scene, request, device)
                 return last
 
     def _keep(
@@ -221,7 +205,7 @@ class SceneCache:
     ) -> None:
         """`kept` shows `scene`, whose parts lie where `placed` says."""
         _cut(kept, request, device)
-        kept.shown, kept.placed = Same(*_geometry_of(scene, request)), placed or None
+        kept.same, kept.placed = Same(*geometry_of(scene, request)), placed or None
         self._last = kept
 
     def _moved(self, scene: Scene, request: GeometryRequest, device: wp.Device) -> Kept | None:
@@ -230,15 +214,17 @@ class SceneCache:
             last = self._last
             if last is None or last.placed is None or not _serves(last.built, request.plan):
                 return None
-            if not last.placed.serves(scene, *_still_of(scene, request)):
+            if not last.placed.serves(scene, *still_of(scene, request)):
                 return None
             self._last = None  # until it is whole
             placed, trees = follow_moved(last.placed, scene, last.built, last.geometry, device)
+            if trees and last.shows:
+                last.shows = last.shows.refitted()
             digests = tuple(b"" if i in trees else each for i, each in enumerate(last.fingerprint.positions))
             last.fingerprint = replace(last.fingerprint, positions=digests, transforms=b"")
             last.treelets = last.cut = None  # copies of what is changed now
             if placed is None:
-                self._last, last.shown, last.placed = last, None, None
+                self._last, last.same, last.placed = last, None, None
                 return None
             self._keep(last, placed, scene, request, device)
             return last
@@ -248,7 +234,7 @@ class SceneCache:
         start = time.perf_counter()
         with self._lock:
             last = self._last
-            if last is None or last.shown is None or not last.shown.holds(*_geometry_of(scene, request)):
+            if last is None or last.same is None or not last.same.holds(*geometry_of(scene, request)):
                 return None
             if not _serves(last.built, request.plan):
                 return None
@@ -259,37 +245,6 @@ class SceneCache:
 
 def _bytes_of_arrays(arrays: list[wp.array]) -> int:
     return sum(int(each.capacity) for each in arrays)
-
-
-def _geometry_of(scene: Scene, request: GeometryRequest) -> tuple[list[np.ndarray | None], tuple]:
-    """Arrays and values that geometry, tree and treelets of `scene` follow from."""
-    arrays, values = _still_of(scene, request)
-    instances = scene.instances
-    placed = digest_of(
-        [instances.mesh, instances.transform, instances.visibility, instances.slot_first]
-        + ([] if instances.motion is None else [instances.motion.instance, instances.motion.maps])
-    )
-    return arrays, (placed, *values)
-
-
-def _still_of(scene: Scene, request: GeometryRequest) -> tuple[list[np.ndarray | None], tuple]:
-    """The same, but for what its instances are."""
-    meshes = [
-        array
-        for mesh in scene.meshes
-        for array in (
-            mesh.positions,
-            mesh.triangles,
-            mesh.triangle_slot,
-            mesh.corner_normals,
-            mesh.radii,
-            mesh.motion,
-            mesh.motion_normals,
-        )
-    ]
-    cut = cut_rule(request.plan, request.settings) if request.plan.method is Method.BATCHED else None
-    ribbons = tuple(mesh.ribbons for mesh in scene.meshes)
-    return meshes, (digest_of([scene.slot_materials]), ribbons, request.kind(), request.plan.method, cut)
 
 
 def _serves(built: BuiltGeometry, plan: TracingPlan) -> bool:
@@ -306,20 +261,53 @@ def _serves(built: BuiltGeometry, plan: TracingPlan) -> bool:
     return ranges_fit and (built.splits_planned or not plan.splits)
 
 
-def _follow(last: Kept, fingerprint: Fingerprint, flat: FlatGeometry, scene: Scene, device: wp.Device) -> bool:
+def _shown_before(last: Kept | None) -> ShownInstances | None:
+    """What the frame `last` shows, where it is."""
+    if last is None or last.shows is None or last.placed is None:
+        return None
+    return last.shows.at(last.placed.transform)
+
+
+def _may_show(last: Kept | None, request: GeometryRequest, device: wp.Device) -> bool:
+    """Whether trees of `last` may follow a frame that shows other things: where rays are too few to be worth trees as
+    good as they can be, and processors build them, which takes long.
+    """
+    own = last is not None and isinstance(last.built, BuiltTree)
+    return own and device.is_cpu and not request.plan.splits and last.kind == request.kind()
+
+
+def _follow(
+    last: Kept,
+    fingerprint: Fingerprint,
+    shows: ShownInstances,
+    flat: FlatGeometry,
+    scene: Scene,
+    request: GeometryRequest,
+    device: wp.Device,
+) -> bool:
     """Make `last` show the frame; False where it cannot."""
     start = time.perf_counter()
     before, last.fingerprint = last.fingerprint, fingerprint
+    shown, last.shows = _shown_before(last), shows
     own = isinstance(last.built, BuiltTree)
     if fingerprint != before:
-        if not own or fingerprint.topology != before.topology:
+        if not own:
             return False
+        if fingerprint.topology != before.topology:
+            if shown is None or not _may_show(last, request, device):
+                return False
+            geometry = show(shown, shows, last.built, last.geometry, flat, scene, device)
+            if geometry is None:
+                return False
+            last.geometry, last.treelets, last.cut = geometry, None, None
+            return True
         remade = fingerprint.remade_since(before, last.geometry, flat)
         update_geometry(last.geometry, with_motion(flat), scene, fingerprint.triangles != before.triangles)
         was = zip(before.triangles, before.positions, strict=True)
         now = zip(fingerprint.triangles, fingerprint.positions, strict=True)
         moved = [i for i, (old, new) in enumerate(zip(was, now, strict=True)) if old != new]
         if moved or fingerprint.transforms != before.transforms:
+            last.shows = shows.refitted() if moved else shows
             last.treelets = last.cut = None  # copies of what is changed now
             refit_scene_tree(last.built, flat, last.geometry, scene.instances.visibility, moved, device, remade)
             return True
@@ -349,9 +337,17 @@ def _build(
             corners=geometry.positions if device.is_cuda else None,
             cancelled=request.cancelled,
         )
-        return Kept(fingerprint, geometry, PagedTree(paged, Residency(paged, plan.geometry_budget, device)))
+        return Kept(
+            fingerprint=fingerprint,
+            geometry=geometry,
+            built=PagedTree(paged, Residency(paged, plan.geometry_budget, device)),
+        )
     if plan.method is Method.REFERENCE:
-        return Kept(fingerprint, geometry, build_reference(flat, visibility, request.instancing, device))
+        return Kept(
+            fingerprint=fingerprint,
+            geometry=geometry,
+            built=build_reference(flat, visibility, request.instancing, device),
+        )
     built = build_scene_tree(
         flat,
         geometry,
@@ -363,7 +359,7 @@ def _build(
         splits_moving=settings.is_on("spatial_splits"),
         mesh_ranges=plan.method is not Method.BATCHED,
     )
-    return Kept(fingerprint, geometry, built)
+    return Kept(fingerprint=fingerprint, geometry=geometry, built=built)
 
 
 def encodes(layout: Layout) -> bool:

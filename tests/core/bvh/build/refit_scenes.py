@@ -13,7 +13,8 @@ from raybatch_addon.core.scene.features import needs_instancing
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.plan.plan import Method, TracingPlan
-from raybatch_addon.core.wavefront.scene.scene_cache import GeometryRequest, SceneCache
+from raybatch_addon.core.wavefront.scene.geometry_request import GeometryRequest
+from raybatch_addon.core.wavefront.scene.scene_cache import SceneCache
 from tests.support import scenes
 from tests.support.paged_scenes import strands
 from tests.support.under_test import DEVICE

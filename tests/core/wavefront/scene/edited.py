@@ -87,6 +87,13 @@ def moved(scene: Scene, instance: int, by: float) -> Scene:
     return replace(scene, instances=replace(scene.instances, transform=transform))
 
 
+def hidden(scene: Scene, instance: int) -> Scene:
+    """One instance is not there."""
+    old, kept = scene.instances, np.arange(len(scene.instances)) != instance
+    names = ("mesh", "transform", "slot_first", "visibility", "object")
+    return replace(scene, instances=replace(old, **{name: getattr(old, name)[kept] for name in names}))
+
+
 EDITS = {
     "camera": lambda scene: replace(scene, camera=scenes.camera(eye=(0.5, -6, 2))),
     "value": lambda scene: recolored(scene, 1, 0.9),
@@ -104,4 +111,7 @@ EDITS = {
             *scene.meshes[2:],
         ),
     ),
+    "visibility": lambda scene: hidden(scene, FIRST_SHARED + 3),
+    "visibility in world space": lambda scene: hidden(scene, BALL),
+    "visibility of an emitter": lambda scene: hidden(scene, FLOOR),
 }

@@ -11,7 +11,7 @@ from raybatch_addon.core.scene.flatten import flatten
 from raybatch_addon.core.scene.frozen import freeze
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
-from raybatch_addon.core.wavefront.scene import scene_cache
+from raybatch_addon.core.wavefront.scene import shown_instances
 from tests.support import scenes
 from tests.support.under_test import DEVICE
 
@@ -65,7 +65,7 @@ def placed(scene, maps):
 def flattened(monkeypatch):
     """Whether all geometry was looked at, by frame."""
     calls = []
-    monkeypatch.setattr(scene_cache, "flatten", lambda scene: (calls.append(1), flatten(scene))[1])
+    monkeypatch.setattr(shown_instances, "flatten", lambda *of: (calls.append(1), flatten(*of))[1])
     return calls
 
 
@@ -73,7 +73,8 @@ def assert_as_new(session, scene, **changes):
     settings = SETTINGS.replace(**changes)
     film, expected = session.render(scene, settings), Session(DEVICE).render(scene, settings)
     assert film.passes["Combined"].tobytes() == expected.passes["Combined"].tobytes()
-    flat, geometry = flatten(scene), session._cache._last.geometry
+    last = session._cache._last
+    flat, geometry = flatten(scene, last.shows.groups), last.geometry
     for name in ("positions", "corner_normals", "instance_transform"):
         assert np.array_equal(getattr(geometry, name).numpy(), getattr(flat, name)), name
     return film

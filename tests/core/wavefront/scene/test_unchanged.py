@@ -13,7 +13,7 @@ from raybatch_addon.core.scene.frozen import freeze
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.shading.lights import table
-from raybatch_addon.core.wavefront.scene import device_scene, kept_inputs, scene_cache
+from raybatch_addon.core.wavefront.scene import device_scene, kept_inputs, shown_instances
 from raybatch_addon.core.wavefront.scene.unchanged import LastSmall
 from tests.core.wavefront.scene.keeping import counted_calls, frozen_meshes
 from tests.support import scenes
@@ -81,7 +81,7 @@ def scene_of(material=None, place=0.0):
 def made(monkeypatch):
     """What was made, by name, in order."""
     calls, count = counted_calls(monkeypatch)
-    count(scene_cache, "flatten")
+    count(shown_instances, "flatten")
     count(kept_inputs, "upload_inputs")
     count(device_scene, "find_emissive_triangles")
     count(device_scene, "emission_of_triangles")

@@ -3,10 +3,11 @@
 import pytest
 
 from raybatch_addon.core.bvh.build import mesh_tree
+from raybatch_addon.core.bvh.build.mesh_tree import MeshTrees
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.scene.device_scene import DeviceScene
-from tests.core.wavefront.scene.edited import EDITS, edited_scene
+from tests.core.wavefront.scene.edited import EDITS, MATERIALS, edited_scene
 from tests.core.wavefront.scene.uploads import counted_uploads
 from tests.support.under_test import DEVICE
 
@@ -17,7 +18,8 @@ SETTINGS = RenderSettings(device=DEVICE, sample_count=1, bounce_max=2, spatial_s
 SMALL = 2_000
 # Kernels that look at emitters again: their brightness, and the tree over them
 OF_EMITTERS = ("_kernel_of_all", "estimate", "bound_triangles_kernel")
-KEEPS_EMITTERS = ("camera", "value", "place", "place in world space", "world", "mesh")
+KEEPS_EMITTERS = ("camera", "value", "place", "place in world space", "world", "mesh", "visibility")
+KEEPS_EMITTERS += ("visibility in world space", "visibility of an emitter")  # there is none to look at then
 
 
 @pytest.fixture
@@ -69,3 +71,24 @@ def test_a_moved_instance_uploads_its_maps_and_the_top_level(edit_of, kind, read
     assert (many - few) / 200 < 64
     larger, _ = edit_of(edited_scene(grid=40, balls=30, reads_places=reads_places), kind)
     assert larger == few, "whatever the count of triangles"
+
+
+@pytest.mark.parametrize("kind", ["visibility", "visibility in world space"])
+def test_what_is_hidden_builds_no_tree_but_the_top_level(monkeypatch, kind):
+    """Elsewhere than on a CPU trees are built in no time."""
+    built, build = [], MeshTrees.build
+    monkeypatch.setattr(MeshTrees, "build", lambda trees, part: built.append(part) or build(trees, part))
+    session, scene = Session(DEVICE), edited_scene()
+    session.render(scene, SETTINGS)
+    assert len(built) == 2
+    for each in (EDITS[kind](scene), scene):
+        built.clear()
+        session.render(each, SETTINGS)
+        assert not built or session.device.is_cuda
+
+
+def test_an_instance_that_is_hidden_uploads_of_triangles_what_shines(edit_of):
+    """These have other instances, by number."""
+    few, larger = (edit_of(edited_scene(grid=grid), "visibility")[0] for grid in (8, 40))
+    emissive = 2 * 40**2 // MATERIALS
+    assert larger - few <= 24 * emissive or Session(DEVICE).device.is_cuda
