@@ -19,7 +19,7 @@ from raybatch_addon.core.device.devices import find_device
 from raybatch_addon.core.errors import DeviceError
 from raybatch_addon.core.live.picture import LivePicture, LiveRequest
 from raybatch_addon.core.live.render import LiveRender
-from raybatch_addon.core.scene.description import Instances, Scene
+from raybatch_addon.core.scene.description import Instances, Material, Scene
 from raybatch_addon.core.scene.frozen import freeze
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
@@ -44,17 +44,30 @@ def moved_instance(scene: Scene, step: int) -> Scene:
 
 
 def changed_value(scene: Scene, step: int) -> Scene:
-    """A slider of a material moved: its closures are darker, or a constant of its program is another."""
+    """A slider of a material moved."""
     materials = list(scene.materials)
     used = int(scene.slot_materials[0])
-    material, factor = materials[used], 1 - 0.005 * step
-    if material.program is not None:
-        constants = np.array(material.program.constants)
-        constants[: len(constants) // 4] *= factor
-        materials[used] = replace(material, program=replace(material.program, constants=constants))
-    else:
+    materials[used] = _darker(materials[used], 1 - 0.005 * step)
+    return replace(scene, materials=tuple(materials))
+
+
+def _darker(material: Material, factor: float) -> Material:
+    """Closures of `material` are darker, or a constant of its program is another."""
+    if material.program is None:
         closures = tuple(replace(each, weight=tuple(factor * c for c in each.weight)) for each in material.closures)
-        materials[used] = replace(material, closures=closures)
+        return replace(material, closures=closures)
+    constants = np.array(material.program.constants)
+    set_ones = np.flatnonzero(constants)  # to change what is 0 changes nothing
+    constants[set_ones[: max(1, len(constants) // 4)]] *= factor
+    return replace(material, program=replace(material.program, constants=constants))
+
+
+def changed_graph(scene: Scene, step: int) -> Scene:
+    """A material has another graph: that of one of the others, whose kernels are there."""
+    materials = list(scene.materials)
+    used = int(scene.slot_materials[0])
+    other = (used + 1 + step % max(1, len(materials) - 1)) % len(materials)
+    materials[used] = replace(_darker(materials[other], 1 - 0.005 * step), name=materials[used].name)
     return replace(scene, materials=tuple(materials))
 
 
@@ -101,6 +114,7 @@ EDITS: dict[str, Callable[[Scene, int], Scene]] = {
     "camera": turned_camera,
     "place": moved_instance,
     "value": changed_value,
+    "graph": changed_graph,
     "mesh": reshaped_mesh,
     "world": dimmed_world,
     "light": dimmed_light,

@@ -10,6 +10,7 @@ from raybatch_addon.core.scene.archive import save_scene
 from raybatch_addon.core.scene.description import Frame
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.export.live.live_scene import is_same
+from tests.core.wavefront.scene.edited import edited_scene
 from tests.support.scenes import mixed
 from tests.support.scripts_here import call_script
 
@@ -20,6 +21,13 @@ def test_an_edit_makes_another_scene_each_time_and_leaves_the_first_as_it_was(ki
     first, second = EDITS[kind](scene, 1), EDITS[kind](scene, 2)
     assert not is_same(scene, first) and not is_same(first, second)
     assert is_same(scene, untouched)
+
+
+@pytest.mark.parametrize("kind", ["value", "graph"])
+def test_programs_of_few_constants_change_too(kind):
+    scene = edited_scene()
+    first, second = EDITS[kind](scene, 1), EDITS[kind](scene, 2)
+    assert not is_same(scene, first) and not is_same(first, second)
 
 
 def test_every_kind_of_edit_is_timed(tmp_path, monkeypatch):
