@@ -44,6 +44,17 @@ PAGES = {
     "convergence": RayBatchConvergence,
 }
 _PREFIX = "RAYBATCH_RENDER_PT_"
+# Pages of panels that show properties of Blender's and Cycles', by how the panels' classes are called: all in words
+WRITTEN_PAGES = {
+    "RAYBATCH_RENDER_PT_curves": "curves.md",
+    "RAYBATCH_RENDER_PT_motion_blur": "motion-blur.md",
+    "RAYBATCH_VIEWLAYER_": "view-layer.md",
+    "RAYBATCH_WORLD_": "world.md",
+    "RAYBATCH_OBJECT_": "object.md",
+    "RAYBATCH_LIGHT_": "light.md",
+    "RAYBATCH_CAMERA_": "camera.md",
+    "RAYBATCH_MATERIAL_": "material.md",
+}
 _TABS = {
     "render": "Render",
     "view_layer": "View Layer",
@@ -84,6 +95,11 @@ def _below(kind: type[bpy.types.Panel]) -> Iterator[type[bpy.types.Panel]]:
 def page_name(panel: str) -> str:
     """The file of the page about the panel of the render tab called so, in classes."""
     return f"{panel.replace('_', '-')}.md"
+
+
+def written_page(panel: type[bpy.types.Panel]) -> str | None:
+    """The page that describes `panel` in words, if one does."""
+    return next((page for name, page in WRITTEN_PAGES.items() if panel.__name__.startswith(name)), None)
 
 
 def _number(value: float) -> str:
@@ -171,7 +187,8 @@ def list_part() -> str:
                 kind = getattr(bpy.types, parent, None)
                 labels[parent] = getattr(kind, "bl_label", "") or "Blender's own panel"
             name = each.__name__.removeprefix(_PREFIX)
-            text = f"[{each.bl_label}]({page_name(name)})" if tab == "render" and name in PAGES else each.bl_label
+            page = page_name(name) if tab == "render" and name in PAGES else written_page(each)
+            text = f"[{each.bl_label}]({page})" if page else each.bl_label
             lines.append(f"| {title} | {f'{labels[parent]} > ' if parent else ''}{text} | {each.__doc__} |")
     return "\n".join(lines)
 
