@@ -21,7 +21,7 @@ from ..scene.description import Scene
 from ..session import Session
 from ..settings.settings import RenderSettings
 from .picture import LivePicture, LiveRequest, TileCanvas
-from .steps import Pace, coarse
+from .steps import Pace, coarse, without_splits
 
 _STAGES = {"build": "Building the scene", "compile": "Loading kernels", "render": "Rendering"}
 
@@ -256,7 +256,7 @@ class LiveRender:
         already = resumed.sample_total if resumed else 0
         film = session.render(
             scene,
-            settings,
+            without_splits(settings),
             on_tile=canvas.add,
             on_progress=on_progress,
             cancelled=stops,

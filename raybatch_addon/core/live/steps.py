@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from ..scene.description import Scene
+from ..settings.settings import RenderSettings
 
 # What the first picture after an edit is planned to take, without a tree's build [s]
 FIRST_SECONDS = 0.12
@@ -89,3 +90,10 @@ def coarse(scene: Scene, side: int) -> Scene:
         camera=replace(scene.camera, window=window),
         frame=replace(frame, width=width, height=height, border=border),
     )
+
+
+def without_splits(settings: RenderSettings) -> RenderSettings:
+    """`settings` whose trees split no triangles unless that is asked for: the next edit would wait until they have, and
+    trees that follow edits lose their splits.
+    """
+    return settings.replace(spatial_splits="OFF") if settings.spatial_splits == "AUTO" else settings

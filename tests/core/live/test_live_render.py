@@ -80,6 +80,19 @@ def test_a_picture_grows_and_ends_as_the_session_renders_it(live, session):
     assert render.state.samples == 8 and not render.state.stage and not render.state.error
 
 
+@pytest.mark.parametrize("asked, used", [("AUTO", "OFF"), ("ON", "ON")])
+def test_trees_split_no_triangles_unless_that_is_asked_for(live, session, monkeypatch, asked, used):
+    render, _, _ = live
+    seen, real = [], session.render
+    monkeypatch.setattr(
+        session, "render", lambda scene, settings, **k: seen.append(settings) or real(scene, settings, **k)
+    )
+    first = request(1)
+    render.show(replace(first, settings=first.settings.replace(spatial_splits=asked)))
+    wait_for(lambda: render.is_idle)
+    assert len(seen) > 1 and {each.spatial_splits for each in seen} == {used}
+
+
 def test_what_is_dropped_is_shown_no_more(live):
     render, _, shown = live
     for number in (1, 2):
