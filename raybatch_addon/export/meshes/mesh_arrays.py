@@ -16,6 +16,31 @@ def read(collection: bpy.types.bpy_prop_collection, attribute: str, dtype, count
     return values.reshape(count, width) if width > 1 else values
 
 
+def stored(mesh: bpy.types.Mesh, name: str, attribute: str, dtype, count: int, width: int = 1) -> np.ndarray | None:
+    """The values of the mesh's attribute `name` as Blender stores them, which are copied at once, where other
+    collections ask item by item: 0.2 ms instead of 7 for 250,000 positions. None where it is not there.
+    """
+    found = mesh.attributes.get(name)
+    return read(found.data, attribute, dtype, count, width) if found is not None and len(found.data) == count else None
+
+
+def read_positions(mesh: bpy.types.Mesh) -> np.ndarray:
+    """Positions of vertices [m], float32, shape [vertex_count, 3]."""
+    found = stored(mesh, "position", "vector", np.float32, len(mesh.vertices), 3)
+    return read(mesh.vertices, "co", np.float32, len(mesh.vertices), 3) if found is None else found
+
+
+def read_loops(mesh: bpy.types.Mesh) -> np.ndarray:
+    """Blender's loop index of each corner of the triangles of `mesh`, int32, shape [triangle_count, 3]."""
+    return read(mesh.loop_triangles, "loops", np.int32, len(mesh.loop_triangles), 3)
+
+
+def read_triangles(mesh: bpy.types.Mesh, loops: np.ndarray) -> np.ndarray:
+    """Vertex indices of the triangles of `mesh`, whose corners are `loops`: int32, shape [triangle_count, 3]."""
+    found = stored(mesh, ".corner_vert", "value", np.int32, len(mesh.loops))
+    return read(mesh.loop_triangles, "vertices", np.int32, len(loops), 3) if found is None else found.take(loops)
+
+
 class MeshArrays:
     """Arrays of `mesh`, whose loop triangles have been made."""
 
@@ -25,12 +50,12 @@ class MeshArrays:
     @cached_property
     def triangles(self) -> np.ndarray:
         """Vertex indices of triangles, int32, shape [triangle_count, 3]."""
-        return read(self.mesh.loop_triangles, "vertices", np.int32, len(self.mesh.loop_triangles), 3)
+        return read_triangles(self.mesh, self.loops)
 
     @cached_property
     def loops(self) -> np.ndarray:
         """Blender's loop index of each triangle's corners, int32, shape [triangle_count, 3]."""
-        return read(self.mesh.loop_triangles, "loops", np.int32, len(self.mesh.loop_triangles), 3)
+        return read_loops(self.mesh)
 
     @cached_property
     def polygons(self) -> np.ndarray:
@@ -45,7 +70,7 @@ class MeshArrays:
     @cached_property
     def positions(self) -> np.ndarray:
         """Positions of vertices [m], float32, shape [vertex_count, 3]."""
-        return read(self.mesh.vertices, "co", np.float32, len(self.mesh.vertices), 3)
+        return read_positions(self.mesh)
 
     @cached_property
     def vertex_normals(self) -> np.ndarray:

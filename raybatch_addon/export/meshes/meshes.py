@@ -7,7 +7,7 @@ import numpy as np
 
 from ...core.scene.description import Mesh
 from ...core.scene.notice import Notice, Weight
-from .mesh_arrays import read
+from .mesh_arrays import read, read_loops, read_positions, read_triangles, stored
 
 
 def export_mesh(mesh: bpy.types.Mesh, name: str, warnings: list[str]) -> Mesh | None:
@@ -23,9 +23,9 @@ def export_mesh(mesh: bpy.types.Mesh, name: str, warnings: list[str]) -> Mesh | 
             text = f"object “{name}”: its mesh “{mesh.name}” has no faces; there is nothing to render"
             warnings.append(Notice(text, Weight.REPAIRED, objects=[name]))
         return None
-    triangles = read(mesh.loop_triangles, "vertices", np.int32, count, 3)
-    positions = read(mesh.vertices, "co", np.float32, len(mesh.vertices), 3)
-    positions, triangles = used_vertices(positions, triangles)
+    loops = read_loops(mesh)
+    corners = read_triangles(mesh, loops)
+    positions, triangles = used_vertices(read_positions(mesh), corners)
     if not np.isfinite(positions).all():
         bad = int(len(positions) - np.isfinite(positions).all(axis=1).sum())
         warnings.append(
@@ -37,16 +37,16 @@ def export_mesh(mesh: bpy.types.Mesh, name: str, warnings: list[str]) -> Mesh | 
             )
         )
         return None
-    loops = None
     normals = uvs = None
-    if mesh.normals_domain != "FACE" or mesh.has_custom_normals:
-        loops = read(mesh.loop_triangles, "loops", np.int32, count, 3)
-        normals = _corner_normals(mesh, loops, name, warnings)
+    if mesh.normals_domain == "POINT" and not mesh.has_custom_normals:  # then corners have those of their vertices
+        normals = read(mesh.vertex_normals, "vector", np.float32, len(mesh.vertices), 3)
+        normals = _finite_normals(normals, mesh, name, warnings).take(corners, axis=0)
+    elif mesh.normals_domain != "FACE" or mesh.has_custom_normals:
+        normals = read(mesh.corner_normals, "vector", np.float32, len(mesh.loops), 3)
+        normals = _finite_normals(normals, mesh, name, warnings).take(loops, axis=0)
     layer = next((layer for layer in mesh.uv_layers if layer.active_render), None)
     if layer is not None and len(layer.uv):
-        if loops is None:
-            loops = read(mesh.loop_triangles, "loops", np.int32, count, 3)
-        uvs = read(layer.uv, "vector", np.float32, len(mesh.loops), 2)[loops]
+        uvs = read(layer.uv, "vector", np.float32, len(mesh.loops), 2).take(loops, axis=0)
     space = (tuple(mesh.texspace_location), tuple(mesh.texspace_size))
     flat = _flat(mesh, count) if normals is not None else None
     return Mesh(
@@ -69,7 +69,7 @@ def mesh_velocity(mesh: bpy.types.Mesh, exported: Mesh, name: str, warnings: lis
     if values is None:
         return None
     mesh.calc_loop_triangles()
-    triangles = read(mesh.loop_triangles, "vertices", np.int32, len(mesh.loop_triangles), 3)
+    triangles = read_triangles(mesh, read_loops(mesh))
     values, _ = used_vertices(values, triangles)
     return values if len(values) == len(exported.positions) else None
 
@@ -112,9 +112,8 @@ def used_vertices(positions: np.ndarray, triangles: np.ndarray) -> tuple[np.ndar
     return positions[used], renumbered[triangles]
 
 
-def _corner_normals(mesh: bpy.types.Mesh, loops: np.ndarray, name: str, warnings: list[str]) -> np.ndarray:
-    """Unit normals of the triangles' corners, shape [triangle_count, 3, 3]; 0 (flat) where Blender has none."""
-    normals = read(mesh.corner_normals, "vector", np.float32, len(mesh.loops), 3)
+def _finite_normals(normals: np.ndarray, mesh: bpy.types.Mesh, name: str, warnings: list[str]) -> np.ndarray:
+    """Unit `normals` of vertices or corners, shape [n, 3]; 0 (flat) where Blender has none."""
     # A sum is finite where all terms are: a cheap look before the close one
     if not np.isfinite(normals.sum()):
         finite = np.isfinite(normals).all(axis=1)
@@ -127,7 +126,7 @@ def _corner_normals(mesh: bpy.types.Mesh, loops: np.ndarray, name: str, warnings
             )
         )
         normals[~finite] = 0
-    return normals[loops]
+    return normals
 
 
 def _slots(mesh: bpy.types.Mesh, count: int) -> np.ndarray | None:
@@ -135,7 +134,9 @@ def _slots(mesh: bpy.types.Mesh, count: int) -> np.ndarray | None:
     last = slot_count(mesh) - 1
     if last == 0 or "material_index" not in mesh.attributes:
         return None
-    of_polygon = read(mesh.polygons, "material_index", np.int32, len(mesh.polygons))
+    of_polygon = stored(mesh, "material_index", "value", np.int32, len(mesh.polygons))
+    if of_polygon is None:
+        of_polygon = read(mesh.polygons, "material_index", np.int32, len(mesh.polygons))
     polygon = read(mesh.loop_triangle_polygons, "value", np.int32, count)
     slots = np.clip(of_polygon, 0, last)[polygon]
     return slots if slots.any() else None

@@ -14,7 +14,7 @@ from ...core.scene.description import Camera, InstanceMaps, Instances, Mesh
 from ...core.scene.motion import maps_at, motion_keys
 from ...core.scene.notice import Notice, Weight
 from ...core.scene.validate import kept_instances
-from ..meshes.mesh_arrays import read
+from ..meshes.mesh_arrays import read, read_loops, read_positions, read_triangles
 from ..meshes.meshes import used_vertices
 from ..meshes.placements import FLATTENED, Placements, is_singular, left_out_objects
 from .objects import object_steps
@@ -118,15 +118,13 @@ class MotionSteps:
         data.calc_loop_triangles()
         if len(data.loop_triangles) != len(mesh.triangles):
             return None
-        triangles = read(data.loop_triangles, "vertices", np.int32, len(data.loop_triangles), 3)
-        positions = read(data.vertices, "co", np.float32, len(data.vertices), 3)
-        positions, triangles = used_vertices(positions, triangles)
+        loops = read_loops(data)
+        positions, triangles = used_vertices(read_positions(data), read_triangles(data, loops))
         same = len(positions) == len(mesh.positions) and np.array_equal(triangles, mesh.triangles)
         if not (same and np.isfinite(positions).all()):
             return None
         normals = None
         if mesh.corner_normals is not None:
-            loops = read(data.loop_triangles, "loops", np.int32, len(data.loop_triangles), 3)
             normals = read(data.corner_normals, "vector", np.float32, len(data.loops), 3)[loops]
             normals = normals if np.isfinite(normals.sum()) else mesh.corner_normals
         return positions, normals

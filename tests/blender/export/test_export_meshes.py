@@ -8,6 +8,8 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from raybatch_addon.core.scene.description import Mesh
+from raybatch_addon.export.meshes import mesh_arrays
+from raybatch_addon.export.meshes.mesh_arrays import read, read_loops, read_positions, read_triangles, stored
 from raybatch_addon.export.meshes.meshes import export_mesh
 from tests.support.blender_builders import add_grid, add_mesh, add_object, add_triangle, exported
 
@@ -198,3 +200,59 @@ def test_no_line_of_python_runs_once_a_vertex_face_or_corner():
         return count
 
     assert lines_run(60) == lines_run(6) > 0
+
+
+# --- arrays are read as Blender stores them, and are what its slower collections say
+
+
+@pytest.fixture
+def bent(scene):
+    """A mesh: a grid of quads that bend, of two materials."""
+    made = add_grid("Grid", 5).data
+    for number, vertex in enumerate(made.vertices):
+        vertex.co.z = 0.3 * np.sin(2.3 * number)
+    for number, polygon in enumerate(made.polygons):
+        polygon.material_index = number % 2
+        polygon.use_smooth = True
+    for name in ("A", "B"):
+        made.materials.append(bpy.data.materials.new(name))
+    made.update()
+    made.calc_loop_triangles()
+    return made
+
+
+def test_positions_triangles_and_materials_are_those_of_the_collections(bent):
+    count, loops = len(bent.loop_triangles), read_loops(bent)
+    np.testing.assert_array_equal(read_positions(bent), read(bent.vertices, "co", np.float32, len(bent.vertices), 3))
+    expected = read(bent.loop_triangles, "vertices", np.int32, count, 3)
+    np.testing.assert_array_equal(read_triangles(bent, loops), expected)
+    polygons = read(bent.polygons, "material_index", np.int32, len(bent.polygons))
+    of_faces = polygons[read(bent.loop_triangle_polygons, "value", np.int32, count)]
+    np.testing.assert_array_equal(export_mesh(bent, "Grid", []).triangle_slot, of_faces)
+
+
+@pytest.mark.parametrize("domain", ["POINT", "FACE", "CORNER"])
+def test_normals_are_those_of_corners(bent, domain):
+    for number, polygon in enumerate(bent.polygons):
+        polygon.use_smooth = domain == "POINT" or (domain == "CORNER" and number % 3 > 0)
+    bent.update()
+    bent.calc_loop_triangles()
+    assert bent.normals_domain == domain
+    found = export_mesh(bent, "Grid", []).corner_normals
+    if domain == "FACE":
+        assert found is None
+    else:
+        corners = read(bent.corner_normals, "vector", np.float32, len(bent.loops), 3)
+        np.testing.assert_array_equal(found, corners[read_loops(bent)])
+
+
+def test_what_is_not_stored_is_asked_for_item_by_item(bent, monkeypatch):
+    first = export_mesh(bent, "Grid", [])
+    assert stored(bent, "not there", "value", np.int32, 1) is None
+    assert stored(bent, "position", "vector", np.float32, len(bent.vertices) + 1, 3) is None
+    for module in (mesh_arrays, export_mesh.__globals__):
+        replace = monkeypatch.setattr if module is mesh_arrays else monkeypatch.setitem
+        replace(module, "stored", lambda *_: None)
+    second = export_mesh(bent, "Grid", [])
+    for name in ("positions", "triangles", "triangle_slot", "corner_normals"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
