@@ -174,7 +174,8 @@ class SceneCache:
             check_memory(size, request.layout, device, all_of_it=True)
         with explained_memory_errors(size, request.layout, device):
             before = self._last
-            shows, flat = grouped(scene, _shown_before(before), _may_show(before, request, device))
+            follows = _may_show(before, request, device)
+            shows, flat = grouped(scene, _shown_before(before), follows=follows, keyed=device.is_cpu)
             fingerprint = Fingerprint.of(flat, scene, request.kind())
             with self._lock:
                 # nothing is kept until the new one is whole: not what an error left half done, nor two of them
@@ -192,7 +193,7 @@ class SceneCache:
                     if whole:
                         check_memory(size, request.layout, device, all_of_it=False)
                     if shows.is_follower:
-                        shows, flat = grouped(scene, None, False)
+                        shows, flat = grouped(scene, keyed=device.is_cpu)
                         fingerprint = Fingerprint.of(flat, scene, request.kind())
                     last = _build(fingerprint, flat, scene, request, device)
                     last.shows, last.kind = shows, request.kind()

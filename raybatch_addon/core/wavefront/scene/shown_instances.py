@@ -36,9 +36,9 @@ class ShownInstances:
     shared: tuple[bytes, ...]  # keys of the meshes that are placed more than once, in the order of their trees
 
     @staticmethod
-    def of(scene: Scene) -> ShownInstances:
-        """What `scene` shows, by itself."""
-        keyed = _has_keys(scene)
+    def of(scene: Scene, keyed: bool) -> ShownInstances:
+        """What `scene` shows, by itself; meshes can be told from each other if `keyed`, where that takes little."""
+        keyed = keyed and _has_keys(scene)
         return ShownInstances(groups_of(scene, keyed), _shared_keys(scene) if keyed else ())
 
     @property
@@ -75,11 +75,13 @@ def _shared_keys(scene: Scene) -> tuple[bytes, ...]:
     return tuple(mesh_key(m) for m, count in zip(scene.meshes, uses, strict=True) if count > 1 and len(m.triangles))
 
 
-def grouped(scene: Scene, before: ShownInstances | None, follows: bool) -> tuple[ShownInstances, FlatGeometry]:
+def grouped(
+    scene: Scene, before: ShownInstances | None = None, *, follows: bool = False, keyed: bool = True
+) -> tuple[ShownInstances, FlatGeometry]:
     """What `scene` shows and its geometry, grouped as in the frame `before` if it shows the same objects, or if it can
-    follow one that shows others (`follows`).
+    follow one that shows others (`follows`). `keyed`: a later frame may follow this one.
     """
-    now = ShownInstances.of(scene)
+    now = ShownInstances.of(scene, keyed)
     groups: Sequence[Group] | None = None
     if before is not None:
         groups = with_same_members(before.groups, now.groups)
