@@ -30,7 +30,7 @@ from .wavefront.render.rendering import Rendering, SnapshotWatcher
 from .wavefront.render.resume import ResumeState
 from .wavefront.render.rounds import RoundPolicy
 from .wavefront.render.steps import TileSteps
-from .wavefront.render.summary import batching_totals, ray_totals, rounds_summary, workers_summary
+from .wavefront.render.summary import batching_totals, ray_totals, rounds_summary, volume_counts, workers_summary
 from .wavefront.scene.device_scene import DeviceScene
 from .wavefront.scheduler import round_tile_edge, step_tile_edge, tile_edge
 from .wavefront.tier import TierChoice
@@ -110,13 +110,15 @@ class Job:
             self.warnings.append(
                 f"{invalid:,} samples were not finite and count as black; this is a fault, please report the scene"
             )
+        rays, in_volumes = ray_totals(integrators), volume_counts(integrators)
+        self.warnings += in_volumes.warnings(rays["camera"]) if in_volumes else []
         return render_statistics(
             device=device,
             settings=self.settings,
             features=self.features,
             frame={"width": film.width, "height": film.height, "region": [*film.region], "passes": [*film.pass_names]},
             seconds=self.parts.record(),
-            rays=ray_totals(integrators),
+            rays=rays,
             samples=film.sample_total,
             counts={
                 "kernels": self.kernels,
@@ -128,6 +130,7 @@ class Job:
                 "lights": len(self.scene.lights),
                 "images": image_statistics(self.scene, device_scene.images if device_scene else None),
                 "invalid_samples": invalid,
+                "volumes": in_volumes and in_volumes.report(),
                 "modules": modules,
                 "warnings": self.warnings,
                 "checkpoint": self.checkpoint and self.checkpoint.statistics,

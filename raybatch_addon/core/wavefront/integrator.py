@@ -43,8 +43,7 @@ from .tier import array_features
 from .tile_state import RayTotals, TileState
 from .tracers.choose import make_tracer
 from .tracers.interface import Tracer
-from .volumes.table import MediaState
-from .volumes.volumes import with_state
+from .volumes.volumes import begin_counts, state_of, with_state
 
 # A stopped tile whose rays are not at their end after this long gives them up [s], unless it is asked to wait longer
 DRAIN_SECONDS = 0.25
@@ -68,13 +67,13 @@ class TileIntegrator:
         self._catchers = None  # nothing catches shadows
         if features.catchers:
             self._catchers = allocate_caught(count, self._layout, features, scene.pass_inputs.is_catcher, device)
-        self._volumes = None  # there are none
+        self.volumes = None  # there are none
         if scene.volumes:
-            self._volumes = with_state(scene.volumes.data, count, settings.volume_bounce_max, device)
+            self.volumes = with_state(scene.volumes.data, count, settings.volume_bounce_max, device)
         self._requests = allocate_requests(count, features, device)  # None: nothing asks for rays
         if self._requests:
             self._paths.requests = upload_struct(self._requests, device)
-        self._media = self._volumes.state if self._volumes else MediaState()
+        self._media = state_of(self.volumes)
         self._shadow_kind = RayKind.TRANSPARENT_SHADOW if scene.transparent_shadows else RayKind.OCCLUSION
         self._lists = PathLists(count, device, walks=features.subsurface)
         self._film_tiles = FilmTiles(self._layout, frame.passes, device, self._lists.counts.at(Length.SPILL))
@@ -123,6 +122,7 @@ class TileIntegrator:
         if self._order:
             self._order.begin()
         self.rays, self.invalid_samples, self._alive = RayTotals(), 0, 0
+        begin_counts(self.volumes)
         self.items_done = 0  # paths that came to their end, for progress
         self.tail_seconds = 0.0  # of the last `render`: from its last full waves to the picture
         self.patience: float | None = None  # how long a stopped tile waits for its rays [s]; None: `DRAIN_SECONDS`
@@ -229,8 +229,8 @@ class TileIntegrator:
                 length,
                 *more,
             )
-            if self._volumes:
-                enter, seen = self._kernels.volumes.enter, (self._scene.data.geometry, self._volumes)
+            if self.volumes:
+                enter, seen = self._kernels.volumes.enter, (self._scene.data.geometry, self.volumes)
                 self._launch(enter, count, *seen, self._rays, self._free, length)
         state.items_begun += count
         self._alive += count
@@ -271,7 +271,7 @@ class TileIntegrator:
         elif kind == RayKind.OCCLUSION:
             self._launch_stage(ShadingStage.CONNECT, back, work, film)
         else:
-            if self._volumes:
+            if self.volumes:
                 self._launch_volumes(VolumeStage.TRANSMIT, back, work)
             self._launch_stage(ShadingStage.CONNECT_TRANSPARENT, back, work, film)
 
@@ -288,7 +288,7 @@ class TileIntegrator:
             if self._kernels.walk:
                 for back in (miss, surface):
                     self._launch_over(self._kernels.walk, back, data, work, limits, paths, rays)
-            if self._volumes:
+            if self.volumes:
                 for back in (miss, surface):
                     self._launch_volumes(VolumeStage.SCATTER, back, work)
                 miss, surface = self._lists.back(paths.status, bound)  # without those that scattered
@@ -303,8 +303,8 @@ class TileIntegrator:
                 self._catch(hits)
                 self._launch_stage(ShadingStage.AIM, hits, work, film)
                 self._launch_stage(ShadingStage.SURFACE, hits, work, film)
-                if self._volumes:
-                    crossed = data, self._volumes, paths, rays
+                if self.volumes:
+                    crossed = data, self.volumes, paths, rays
                     self._launch_over(self._kernels.volumes.cross, hits, *crossed)
 
     def _finish_paths(self, work: TileWork, film: FilmTile, generates: bool) -> int:
@@ -384,7 +384,7 @@ class TileIntegrator:
         volumes = self._kernels.volumes
         kernel = volumes.scatter if stage is VolumeStage.SCATTER else volumes.transmit
         work.stage = int(stage)
-        scene = self._scene.data, self._volumes
+        scene = self._scene.data, self.volumes
         self._launch_over(kernel, slots, *scene, work, self._limits, self._paths, self._rays)
 
     def _catch(self, slots: RayList) -> None:

@@ -75,7 +75,11 @@ def test_shadow_rays_fly_so_often_and_then_arrive(session):
         boxed = scenes.box(), scenes.IDENTITY, filled(layers(density))
         made = scenes.scene([boxed, floor], world=0.0, frame=Frame(2, 2), view=view, lights=[scenes.sun(1.0)])
         made = dataclasses.replace(made, lights=(*made.lights, *in_box(medium(1.0)).lights[1:]))
-        found.append(picture(session, made, sample_count=1, bounce_max=0))
+        film = session.render(made, RenderSettings(sample_count=1, bounce_max=0))
+        found.append(film.passes["Combined"][..., :3].astype(np.float64))
+        counts, said = film.statistics["volumes"], " ".join(film.statistics["warnings"])
+        assert (counts["shadow_rays_cut"] > 0) == ("shadow rays ended before" in said) == (density > 0)
+        assert counts["shadow_rays_cut"] <= counts["shadow_rays"]
     assert found[1].min() > 0.01
     np.testing.assert_allclose(found[0], found[1], rtol=1e-5)
 

@@ -11,6 +11,7 @@ from ...bvh.traverse.reference import BuiltReference
 from ...film import Film
 from ...measure.batching import BatchingTotals
 from ...measure.counters import CounterTotals, TreeBytes
+from ...measure.volumes import VolumeCounts
 from ..integrator import TileIntegrator
 from ..order.sort_policy import merged_reports
 from ..scene.device_scene import DeviceScene
@@ -51,6 +52,12 @@ def batching_totals(integrators: Sequence[TileIntegrator]) -> BatchingTotals | N
     """What the workers' rays waited for; None where no ray waits."""
     found = [totals for totals in (integrator.batching_totals() for integrator in integrators) if totals]
     return functools.reduce(BatchingTotals.merge, found) if found else None
+
+
+def volume_counts(integrators: Sequence[TileIntegrator]) -> VolumeCounts | None:
+    """What the workers counted in volumes; None where there are none."""
+    found = [each.volumes.counts.numpy().sum(0).tolist() for each in integrators if each.volumes]
+    return VolumeCounts(*map(sum, zip(*found, strict=True))) if found else None
 
 
 def workers_summary(

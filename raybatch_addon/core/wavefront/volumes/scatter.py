@@ -43,7 +43,19 @@ from .features import VolumeFeatures
 from .lights import Way, make_lights_ahead
 from .medium import LOBES_MOST, PHASE_LOBE_FLOATS, Coefficients, make_constant_medium, may_vary, varies_along
 from .segment import constant_way, ray_point, scattering_shares
-from .table import AIMED, BACK, FRONT, GOES_ON, IN_VACUUM, UNAIMED, VolumeData, innermost_instance, is_empty
+from .table import (
+    AIMED,
+    BACK,
+    FRONT,
+    GOES_ON,
+    IN_VACUUM,
+    PATHS_CUT,
+    UNAIMED,
+    VolumeData,
+    innermost_instance,
+    is_empty,
+    note_count,
+)
 from .track import SCATTERED, STOPPED, Track, make_track
 from .vertex import make_aim_in_volume, make_scattered
 
@@ -114,6 +126,8 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
         if rays.hit_instance[path] >= 0:
             volumes.state.side[path] = side_of(data, volumes, paths, rays, path)
         over = volumes.state.segment[path] >= wp.static(SEGMENTS_MOST)
+        if over:
+            note_count(volumes.counts, wp.uint32(path), wp.static(PATHS_CUT), wp.int64(1))
         if (bounce_of(status) > 0 and not has_light(paths.throughput[path])) or over:
             status = status | wp.static(_ENDED)
         paths.status[path] = status
@@ -330,6 +344,8 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
             if has_light(left) and number < wp.static(SEGMENTS_MOST):
                 paths.status[path] = status | wp.static(_RAY_NEW)
             else:
+                if has_light(left):
+                    note_count(volumes.counts, stream, wp.static(PATHS_CUT), wp.int64(1))
                 paths.status[path] = status | wp.static(_ENDED)
             return
         volumes.state.scattered[path] = volumes.state.scattered[path] + 1

@@ -15,6 +15,11 @@ IN_VACUUM = -1
 # How a path met the surface where its ray ended: `MediaState.side`
 FRONT, BACK = 1, 2
 AIMED, GOES_ON, UNAIMED = 1, 2, 4
+# What is counted: columns of `VolumeData.counts`. Sums of shares are in units of 1 / `measure.volumes.SHARE_UNITS`
+COLLISIONS, EXCEEDED, DENSITY, DENSITY_LOST, SHADOW_RAYS, SHADOW_RAYS_CUT, PATHS_CUT = range(7)
+COUNTS = 7
+# Rows of `VolumeData.counts`: threads of a GPU that count at once seldom wait for each other
+COUNT_ROWS = 256
 # In place of a grid of cells: `VolumeLights.of`
 UNLIKE = -2
 # Cells of a part of a grid along each axis: what a cell is divided into
@@ -130,11 +135,18 @@ class VolumeData:
     bounce_max: int  # a path scatters in volumes once more at most
     asked: BoundWork  # before the render
     state: MediaState
+    counts: wp.array2d(dtype=wp.int64)  # of one worker, any rows; they enter statistics alone, and are sums of integers
 
 
 def state_bytes_per_path() -> int:
     """Device memory of the state of one path [bytes]."""
     return sum(wp.types.type_size_in_bytes(array.type.dtype) for array in MediaState.vars.values())
+
+
+@wp.func
+def note_count(counts: wp.array2d(dtype=wp.int64), stream: wp.uint32, column: int, amount: wp.int64):
+    """Add to a count, in a row by the `stream` of random numbers."""
+    wp.atomic_add(counts, int(stream % wp.uint32(wp.static(COUNT_ROWS))), column, amount)
 
 
 @wp.func

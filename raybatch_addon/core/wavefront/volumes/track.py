@@ -18,6 +18,7 @@ import functools
 import warp as wp
 
 from ...device.codegen.local_arrays import Unset
+from ...measure.volumes import SHARE_UNITS
 from ...programs.point import ShadingPoint
 from ...scene.program import ProgramFeatures
 from ...shading.bsdf.materials import address_of
@@ -28,7 +29,18 @@ from ...shading.volumes.phase import PhaseLobe
 from .along import Sought, density_by_light, length_by_light
 from .emission.weigh import Seen
 from .medium import LOBES_MOST, PHASE_LOBE_FLOATS, Coefficients, bound_ahead, make_medium, may_vary, varies_along
-from .table import EXTINCTION, FLIGHTS, VolumeData
+from .table import (
+    COLLISIONS,
+    DENSITY,
+    DENSITY_LOST,
+    EXCEEDED,
+    EXTINCTION,
+    FLIGHTS,
+    SHADOW_RAYS,
+    SHADOW_RAYS_CUT,
+    VolumeData,
+    note_count,
+)
 
 # Flights of a path between two rays: longer ways go on with a new ray
 FLIGHTS_MOST = 256
@@ -37,6 +49,8 @@ _SHADOW_FLIGHTS_MOST = 1 << 16
 # Transmittance below which chance decides whether light goes on
 _ROULETTE_BELOW = 0.05
 _LENGTH_LEAST = 1e-30
+# A program that exceeds its bound more often than that counts as that
+_EXCESS_MOST = 1e12
 
 
 @wp.struct
@@ -79,6 +93,21 @@ class Flights:
 def densest(m: Coefficients, bound: float) -> float:
     """What coefficients are divided by: where a bound is exceeded no light must be gained."""
     return wp.max(bound, wp.max(m.extinction[0], wp.max(m.extinction[1], m.extinction[2])))
+
+
+@wp.func
+def _note_exceeded(volumes: VolumeData, stream: wp.uint32, most: float, bound: float):
+    """At a collision programs gave `most`, which is more than the `bound` of the extinction there [1/m]."""
+    excess = wp.min(most / bound - 1.0, wp.static(_EXCESS_MOST))
+    note_count(volumes.counts, stream, wp.static(EXCEEDED), wp.int64(1))
+    note_count(volumes.counts, stream, wp.static(DENSITY_LOST), wp.int64(excess * wp.static(float(SHARE_UNITS))))
+
+
+@wp.func
+def _note_collisions(volumes: VolumeData, stream: wp.uint32, count: int, density: float):
+    """There were `count` collisions; `density`: the sum of the shares of them that were no null collisions."""
+    note_count(volumes.counts, stream, wp.static(COLLISIONS), wp.int64(count))
+    note_count(volumes.counts, stream, wp.static(DENSITY), wp.int64(density * wp.static(float(SHARE_UNITS))))
 
 
 @functools.cache
@@ -190,25 +219,37 @@ def make_transmitted(programs: ProgramFeatures) -> wp.Function:
         direction = -point.incoming
         begin = point.position
         share = wp.vec3(1.0)
+        count = int(0)
+        density = float(0.0)
         flown = Flights()
         while flown.length < length:
             flown = fly(volumes, inside, begin, direction, point.time, length, stream, flown)
             if not flown.bound > 0.0:
+                if flown.length < length:
+                    note_count(volumes.counts, stream, wp.static(SHADOW_RAYS_CUT), wp.int64(1))
                 break
             point.position = begin + flown.length * direction
             m = medium(volumes, inside, point, lobes)
             most = densest(m, flown.bound)
+            count += 1
+            density += densest(m, 0.0) / most
+            if most > flown.bound:
+                _note_exceeded(volumes, stream, most, flown.bound)
             for axis in range(3):
                 share[axis] = share[axis] * wp.max(1.0 - m.extinction[axis] / most, 0.0)
             largest = wp.max(share[0], wp.max(share[1], share[2]))
             if not largest > 0.0:
-                return wp.vec3(0.0)
+                share = wp.vec3(0.0)
+                break
             if largest < wp.static(_ROULETTE_BELOW):
                 survival = largest / wp.static(_ROULETTE_BELOW)
                 if stream_number(stream, flown.number) >= survival:
-                    return wp.vec3(0.0)
+                    share = wp.vec3(0.0)
+                    break
                 share = share / survival
                 flown.number += wp.uint32(1)
+        note_count(volumes.counts, stream, wp.static(SHADOW_RAYS), wp.int64(1))
+        _note_collisions(volumes, stream, count, density)
         return share
 
     return transmitted
@@ -272,6 +313,8 @@ def make_track(programs: ProgramFeatures, weighed: wp.Function | None = None) ->
         if searches:
             flown.ahead = _sought_length(sought, stream_number(lit_stream, wp.uint32(0)))
         expected = float(0.0)  # of all points so far
+        count = int(0)
+        density = float(0.0)
         while flown.length < length:
             flown = fly(volumes, inside, begin, direction, point.time, length, stream, flown)
             if not flown.bound > 0.0:
@@ -300,6 +343,10 @@ def make_track(programs: ProgramFeatures, weighed: wp.Function | None = None) ->
                     for k in range(m.lobes):
                         lit_lobes[k] = lobes[k]
             if flown.collides:
+                count += 1
+                density += densest(m, 0.0) / most
+                if most > flown.bound:
+                    _note_exceeded(volumes, stream, most, flown.bound)
                 emission = m.emission
                 if wp.static(weighed is not None):
                     emission = weighed(volumes, table, seen, inside, point, emission)
@@ -331,6 +378,7 @@ def make_track(programs: ProgramFeatures, weighed: wp.Function | None = None) ->
                     way.weight = way.weight / survival
                     flown.number += wp.uint32(1)
         way.lit.weight = expected * way.lit.weight
+        _note_collisions(volumes, stream, count, density)
         return way
 
     return track

@@ -14,7 +14,7 @@ from .features import VolumeFeatures
 from .grids import store_numbers, store_vectors
 from .kernels import bound_kernel, transmit_kernel, volume_kernel
 from .medium import may_vary
-from .table import MediaState, VolumeData
+from .table import COUNT_ROWS, COUNTS, MediaState, VolumeData
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,4 +73,16 @@ def with_state(shared: VolumeData, path_count: int, bounce_max: int, device: wp.
         setattr(own, name, getattr(shared, name))
     own.state = allocate_state(path_count, device)
     own.bounce_max = bounce_max
+    own.counts = wp.zeros((COUNT_ROWS, COUNTS), dtype=wp.int64, device=device)
     return own
+
+
+def state_of(volumes: VolumeData | None) -> MediaState:
+    """The state of a worker's paths in its `volumes`; an empty one where there are none."""
+    return volumes.state if volumes else MediaState()
+
+
+def begin_counts(volumes: VolumeData | None) -> None:
+    """A render begins: what its worker counts begins anew."""
+    if volumes:
+        volumes.counts.zero_()
