@@ -116,7 +116,7 @@ def is_portal(obj: bpy.types.Object) -> bool:
 def object_visibility(obj: bpy.types.Object) -> int:
     """`Visibility` bits of a light: the kinds of rays that meet it, and of scattering that it lights."""
     seen = Visibility.SHADOW
-    for kind in ("camera", "diffuse", "glossy", "transmission"):
+    for kind in ("camera", "diffuse", "glossy", "transmission", "volume_scatter"):
         if getattr(obj, f"visible_{kind}"):
             seen |= Visibility[kind.upper()]
     return int(seen)

@@ -144,4 +144,6 @@ def _visibility(world: bpy.types.World) -> int:
     for name in ("camera", "diffuse", "glossy", "transmission"):
         if getattr(flags, name, True):
             seen |= Visibility[name.upper()]
+    if getattr(flags, "scatter", True):
+        seen |= Visibility.VOLUME_SCATTER
     return int(seen)

@@ -112,11 +112,7 @@ class RayCollector:
                 indices = wp.array(chosen, dtype=int, device=rays.origin.device)
                 columns = [_gathered(column, indices) for column in (rays.origin, rays.direction, rays.t_max)]
                 # the tracer's own array is there only if it reads it
-                seen = (
-                    np.full(len(chosen), int(Visibility.SHADOW))
-                    if shadow
-                    else status[chosen] >> VISIBILITY_SHIFT & int(Visibility.ALL)
-                )
+                seen = np.full(len(chosen), int(Visibility.SHADOW)) if shadow else _kinds(status[chosen])
                 self._parts.setdefault(wanted.name, []).append((*columns, seen.astype(np.int32)))
                 self._counts[wanted.name] = self._counts.get(wanted.name, 0) + len(chosen)
 
@@ -135,6 +131,12 @@ class RayCollector:
                 )
             )
         return found
+
+
+def _kinds(status: np.ndarray) -> np.ndarray:
+    """The `Visibility` bits of extending rays, of which `visibility_of` is the kernels' function."""
+    kinds = status >> VISIBILITY_SHIFT & 31
+    return np.where(kinds == int(Visibility.SHADOW), int(Visibility.VOLUME_SCATTER), kinds)
 
 
 def _gathered(array: wp.array, indices: wp.array) -> np.ndarray:

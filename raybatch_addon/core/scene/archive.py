@@ -26,7 +26,7 @@ from .motion import instance_maps
 from .notice import Notice, as_record, from_record
 
 FORMAT = "raybatch-scene"
-VERSION = 1
+VERSION = 2
 
 _CLASSES: dict[str, type] = {
     name: value

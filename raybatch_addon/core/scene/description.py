@@ -31,9 +31,8 @@ class Visibility(IntFlag):
     GLOSSY = 4
     TRANSMISSION = 8
     SHADOW = 16
-    ALL = 31
-    # The kind of rays that volumes scatter, which see what any other ray sees: no bit of its own
-    VOLUME_SCATTER = 15
+    VOLUME_SCATTER = 32
+    ALL = 63
 
 
 # Rays that surfaces scatter
@@ -41,11 +40,13 @@ SCATTERED_RAYS = int(Visibility.DIFFUSE | Visibility.GLOSSY | Visibility.TRANSMI
 
 # Light linking: emitters light the receivers of some sets of objects, and the objects of some sets block their light.
 # Bits of all sets; a number of bits that are in sets is an unsigned integer
-LIGHT_SETS, SHADOW_SETS = 64, 21
+LIGHT_SETS, SHADOW_SETS = 64, 20
 COPY_SET = LIGHT_SETS - 1  # of paths that see shadow catchers alone
 ALL_LIGHT_SETS, ALL_SHADOW_SETS = (1 << LIGHT_SETS) - 1, (1 << SHADOW_SETS) - 1
-SHADOW_SET_SHIFT = 5  # in visibilities the bits of shadow sets lie from here on
-# and behind them those of `Visibility` again, of shadow catchers alone: for rays that see nothing else
+SHADOW_SET_SHIFT = 6  # in visibilities the bits of shadow sets lie from here on
+# and behind them those of `Visibility` again, of shadow catchers alone: for rays that see nothing else. Volumes scatter
+# none of these
+CATCHER_RAYS = int(Visibility.ALL & ~Visibility.VOLUME_SCATTER)
 CATCHER_SHIFT = SHADOW_SET_SHIFT + SHADOW_SETS
 
 

@@ -8,6 +8,7 @@ do, while general kernels render. Each kernel is specialised on the few of these
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
@@ -264,7 +265,7 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
         kinds.add(ClosureKind.TRANSPARENT)  # shadow rays go from surface to surface
     world, is_sampled = scene.world, (surfaces or bool(volumes)) and settings.nee != "OFF"
     # what no ray sees that surfaces or volumes scatter lights nothing
-    lights = bool(volumes) or bool(int(world.visibility) & SCATTERED_RAYS)
+    lights = bool(int(world.visibility) & light_rays(volumes))
     world_light = is_sampled and lights and world.program is not None and world.sampling_size > 0
     volume_lights = is_sampled and surfaces and _has_volume_lights(scene)
     return SceneFeatures(
@@ -370,6 +371,11 @@ def needs_instancing(scene: Scene) -> bool:
     shared = bool(np.any(filled & (counts > 1)))
     seen = instances.visibility[filled[instances.mesh]] & RAY_BITS
     return shared or bool(apart(scene).any()) or bool(np.any(seen != int(Visibility.ALL)))
+
+
+def light_rays(volumes: Collection[Volume]) -> int:
+    """The kinds of scattered rays in a scene with these `volumes`: what none of them sees lights nothing."""
+    return SCATTERED_RAYS | int(Visibility.VOLUME_SCATTER) if volumes else SCATTERED_RAYS
 
 
 def can_be_met(light) -> bool:

@@ -6,10 +6,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from .description import ALL_LIGHT_SETS, ALL_SHADOW_SETS, CATCHER_SHIFT, SHADOW_SET_SHIFT, Scene, Visibility
+from .description import (
+    ALL_LIGHT_SETS,
+    ALL_SHADOW_SETS,
+    CATCHER_RAYS,
+    CATCHER_SHIFT,
+    SHADOW_SET_SHIFT,
+    Scene,
+    Visibility,
+)
 
 # Bits of visibilities that rays may have
-RAY_BITS = int(Visibility.ALL) | ALL_SHADOW_SETS << SHADOW_SET_SHIFT | int(Visibility.ALL) << CATCHER_SHIFT
+RAY_BITS = int(Visibility.ALL) | ALL_SHADOW_SETS << SHADOW_SET_SHIFT | CATCHER_RAYS << CATCHER_SHIFT
 
 
 def links_lights(scene: Scene) -> bool:
@@ -47,14 +55,14 @@ def lifts_shadow_rays(scene: Scene) -> bool:
 
 def catchers(scene: Scene) -> np.ndarray:
     """Which instances of `scene` are shadow catchers: bool, shape [n]."""
-    return scene.instances.visibility >> CATCHER_SHIFT & int(Visibility.ALL) != 0
+    return scene.instances.visibility >> CATCHER_SHIFT & CATCHER_RAYS != 0
 
 
 def catcher_bits(visibility: int) -> int:
     """The bits of a visibility by which rays that see shadow catchers alone see a catcher that others see by
     `visibility`.
     """
-    return (visibility & int(Visibility.ALL)) << CATCHER_SHIFT
+    return (visibility & CATCHER_RAYS) << CATCHER_SHIFT
 
 
 def shadow_bit(shadow_set: int) -> int:

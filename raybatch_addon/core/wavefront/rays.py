@@ -16,6 +16,7 @@ import warp as wp
 
 from ..bvh.tree import TRAIL_LEVELS, TopProgress
 from ..rays import Rays
+from ..scene.description import Visibility
 from ..scene.features import SceneFeatures
 from ..shading.lights.choice import LitPoint, lit_point
 from .passes.state import PathPasses, pass_bytes_per_path
@@ -39,8 +40,10 @@ class Status(IntFlag):
 
 # How the extending ray came back, which the next stage no longer asks for
 CAME_BACK = int(Status.HIT | Status.STRAIGHT)
-# Above the status: the `Visibility` bit of the extending ray (5 bits), and the bounce (up to 2^17 - 1)
+# Above the status: the `Visibility` bit of the extending ray (5 bits), and the bounce (up to 2^17 - 1). An extending
+# ray is never one for shadows, whose bit stands for VOLUME_SCATTER there
 VISIBILITY_SHIFT = 9
+BY_VOLUME = int(Visibility.SHADOW) << VISIBILITY_SHIFT
 BOUNCE_SHIFT = 14
 # In `Paths.passed`, passes by the shadow ray are counted above those of the extending ray; both go on from what the
 # path passed before
@@ -190,7 +193,8 @@ def left_point(paths: Paths, path: int, origin: wp.vec3) -> LitPoint:
 @wp.func
 def visibility_of(status: int) -> int:
     """The `Visibility` bit of a path's extending ray."""
-    return (status >> wp.static(VISIBILITY_SHIFT)) & 31
+    kind = (status >> wp.static(VISIBILITY_SHIFT)) & 31
+    return wp.where(kind == wp.static(int(Visibility.SHADOW)), wp.static(int(Visibility.VOLUME_SCATTER)), kind)
 
 
 @dataclass(frozen=True, kw_only=True)

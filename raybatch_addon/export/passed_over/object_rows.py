@@ -75,12 +75,6 @@ OBJECT_ROWS = (
         "turn it on in the lamp's settings of Cycles",
     ),
     Row(
-        "Volume Scatter of Ray Visibility is not heard; light that volumes scatter meets these all the same: {found}",
-        lambda obj: not getattr(obj, "visible_volume_scatter", True),
-        Weight.SETTING,
-        "turn it on in the object's properties",
-    ),
-    Row(
         "Cycles' culling of objects is not supported; these are rendered wherever they are: {found}",
         lambda obj: _cycles(obj, "use_camera_cull") or _cycles(obj, "use_distance_cull"),
         Weight.SETTING,

@@ -87,22 +87,11 @@ def _world(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bpy.types.Worl
     return (getattr(layer, "world_override", None) or scene.world) if layer.use_sky else None
 
 
-def _unscattered_world(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bool:
-    seen = getattr(_world(scene, layer), "cycles_visibility", None)
-    return not getattr(seen, "scatter", True)
-
-
 def _caustics_of_world(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bool:
     return getattr(getattr(_world(scene, layer), "cycles", None), "is_caustics_light", False)
 
 
 SCENE_ROWS = (
-    Row(
-        "Volume Scatter of the world's Ray Visibility is not heard; light that volumes scatter meets it all the same",
-        _unscattered_world,
-        Weight.SETTING,
-        "turn it on in the world's settings of Cycles",
-    ),
     Row(
         "shadow caustics of Cycles are not supported: the world's light comes through glass by whole paths alone",
         _caustics_of_world,

@@ -109,8 +109,8 @@ class RAYBATCH_OBJECT_PT_ray_visibility(EnginePanel, bpy.types.Panel):
     def draw(self, context):
         layout = split_layout(self.layout, animated=True)
         column = layout.column()
-        for ray in ("camera", "diffuse", "glossy", "transmission"):
-            column.prop(context.object, f"visible_{ray}", text=ray.title())
+        for ray in ("camera", "diffuse", "glossy", "transmission", "volume_scatter"):
+            column.prop(context.object, f"visible_{ray}", text=ray.replace("_", " ").title())
         if context.object.type != "LIGHT":  # a light has a switch of its own for its shadow
             column.prop(context.object, "visible_shadow", text="Shadow")
             column.prop(context.object, "is_shadow_catcher")

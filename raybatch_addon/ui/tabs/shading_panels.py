@@ -49,7 +49,7 @@ class RAYBATCH_WORLD_PT_ray_visibility(_WorldPanel, bpy.types.Panel):
     def draw(self, context):
         layout = split_layout(self.layout)
         column = layout.column()
-        for ray in ("camera", "diffuse", "glossy", "transmission"):
+        for ray in ("camera", "diffuse", "glossy", "transmission", "scatter"):
             column.prop(context.world.cycles_visibility, ray)
 
 

@@ -13,7 +13,7 @@ from raybatch_addon.core.bvh.traverse.counts import counts_of
 from raybatch_addon.core.bvh.traverse.options import TraceOptions
 from raybatch_addon.core.device.devices import load_kernels
 from raybatch_addon.core.rays import RayList
-from raybatch_addon.core.scene.description import Scene
+from raybatch_addon.core.scene.description import Scene, Visibility
 from raybatch_addon.core.scene.flatten import flatten
 from raybatch_addon.core.scene.geometry import upload_geometry
 from raybatch_addon.core.scene.moved import with_motion
@@ -51,7 +51,7 @@ def trace(built: BuiltTree, aimed: AimedRays, device: wp.Device, runs: int = 3) 
         wp.array(np.arange(count), dtype=int, device=device), wp.array([count], dtype=int, device=device), count
     )
     counts = counts_of(count, device)
-    rays.visibility.fill_(31)
+    rays.visibility.fill_(int(Visibility.ALL))
 
     def run(counted: bool) -> float:
         rays.t_max.fill_(np.inf)

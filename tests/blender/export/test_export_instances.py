@@ -116,7 +116,7 @@ def test_ten_thousand_instances_cost_one_mesh_and_a_matrix_each(scene):
     assert sum(array.nbytes for array in arrays if array is not None) <= 10_000 * 64
 
 
-@pytest.mark.parametrize("ray", ["camera", "diffuse", "glossy", "transmission", "shadow"])
+@pytest.mark.parametrize("ray", ["camera", "diffuse", "glossy", "transmission", "shadow", "volume_scatter"])
 def test_ray_visibility(ray):
     obj = add_triangle()
     setattr(obj, f"visible_{ray}", False)

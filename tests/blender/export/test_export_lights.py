@@ -260,10 +260,9 @@ def test_flags(scene):
     assert export(lamp).visibility == int(Visibility.ALL & ~Visibility.CAMERA) and export(lamp).casts_shadow
     lamp.visible_glossy, lamp.data.use_shadow = False, False
     light = export(lamp)
-    assert (
-        light.visibility == int(Visibility.DIFFUSE | Visibility.TRANSMISSION | Visibility.SHADOW)
-        and not light.casts_shadow
-    )
+    assert light.visibility == int(Visibility.ALL & ~Visibility.CAMERA & ~Visibility.GLOSSY) and not light.casts_shadow
+    lamp.visible_volume_scatter = False
+    assert not export(lamp).visibility & Visibility.VOLUME_SCATTER
 
 
 def test_limits_of_bounces(scene):
@@ -341,6 +340,8 @@ def test_world(scene, tmp_path):
     assert exported.visibility == int(Visibility.ALL) and not warnings
     world.cycles_visibility.diffuse = False
     assert export_world(world, []).visibility == int(Visibility.ALL & ~Visibility.DIFFUSE)
+    world.cycles_visibility.diffuse, world.cycles_visibility.scatter = True, False
+    assert export_world(world, []).visibility == int(Visibility.ALL & ~Visibility.VOLUME_SCATTER)
     background.inputs["Strength"].default_value = -1
     assert export_world(world, warnings).radiance == (0, 0, 0) and "Sky" in warnings.pop()
     sky = world.node_tree.nodes.new("ShaderNodeTexEnvironment")

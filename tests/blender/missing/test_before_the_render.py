@@ -302,12 +302,6 @@ def test_a_volume_without_values_is_missing_and_selected_by_its_name(scene):
     assert notice.weight == Weight.MISSING and notice.objects == ("Smoke",)
 
 
-def test_a_world_that_scattered_light_cannot_see_is_named(scene):
-    scene.world = bpy.data.worlds.new("World")
-    scene.world.cycles_visibility.scatter = False
-    assert the_one(scene, "world's Ray Visibility").weight == Weight.SETTING
-
-
 @pytest.mark.parametrize(
     ("strict", "refused"), [("OFF", False), ("MISSING", False), ("REPLACED", False), ("SETTING", True)]
 )

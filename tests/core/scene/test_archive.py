@@ -143,7 +143,7 @@ def rewrite_header(path, change):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda header: header.update(version=999), "version 999.*reads version 1"),
+        (lambda header: header.update(version=999), "version 999.*reads version 2"),
         (lambda header: header.update(format="other"), "not a saved scene"),
         (lambda header: header["scene"]["fields"].update(unknown=1), "cannot be read"),
         (lambda header: header["scene"].update({"class": "Path"}), "cannot be read"),

@@ -11,6 +11,7 @@ from raybatch_addon.core.bvh.node import Layout
 from raybatch_addon.core.bvh.traverse.options import TraceOptions
 from raybatch_addon.core.device.devices import load_kernels
 from raybatch_addon.core.rays import RayList
+from raybatch_addon.core.scene.description import Visibility
 from raybatch_addon.core.scene.features import derive_features
 from raybatch_addon.core.scene.flatten import IDENTITY, flatten
 from raybatch_addon.core.scene.geometry import upload_geometry
@@ -45,7 +46,7 @@ def traced(mesh, layout: Layout, time: float):
     if moving:
         rays.time.fill_(time)
     rays.t_max.fill_(np.inf)
-    rays.visibility.fill_(31)
+    rays.visibility.fill_(int(Visibility.ALL))
     slots = wp.array(np.arange(RAYS), dtype=int, device=device)
     listed = RayList(slots, wp.array([RAYS], dtype=int, device=device), RAYS)
     refill = 8 if layout is Layout.BOXES else 0

@@ -9,6 +9,7 @@ from raybatch_addon.core.bvh.node import Layout
 from raybatch_addon.core.bvh.traverse.options import TraceOptions
 from raybatch_addon.core.device.devices import load_kernels
 from raybatch_addon.core.rays import RayList
+from raybatch_addon.core.scene.description import Visibility
 from raybatch_addon.core.scene.flatten import flatten
 from raybatch_addon.core.scene.geometry import upload_geometry
 from raybatch_addon.core.scene.motion import maps_at, motion_keys, moving_instances
@@ -40,7 +41,7 @@ def traced(scene, layout: Layout, any_hit: bool = False):
     for name, values in (("origin", origin), ("direction", direction), ("time", time)):
         getattr(rays, name).assign(values)
     rays.t_max.fill_(np.inf)
-    rays.visibility.fill_(31)
+    rays.visibility.fill_(int(Visibility.ALL))
     listed = RayList(
         wp.array(np.arange(RAYS), dtype=int, device=device), wp.array([RAYS], dtype=int, device=device), RAYS
     )

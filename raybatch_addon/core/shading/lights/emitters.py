@@ -15,7 +15,8 @@ import numpy as np
 
 from ...device.bulk import in_slices
 from ...errors import SceneError
-from ...scene.description import SCATTERED_RAYS, ClosureKind, Light, LightKind, Material, Scene
+from ...scene.description import ClosureKind, Light, LightKind, Material, Scene
+from ...scene.features import light_rays, scene_volumes
 from ...scene.frozen import fact, freeze
 from ...scene.motion import apart
 from ...scene.validate import box_of
@@ -86,10 +87,9 @@ def find_emissive_triangles(
     emits = (emission.any(1) | by_program) & aimed
     chunks: list[tuple[np.ndarray, ...]] = []
     # what moves is not aimed at: where it is, and how wide it is seen, is another matter at each time
-    # an emitter that no ray sees which surfaces scatter lights nothing
-    candidates = (
-        np.flatnonzero((instances.visibility & SCATTERED_RAYS) * ~apart(scene)) if emits.any() else np.zeros(0, int)
-    )
+    # an emitter that no ray sees which surfaces or volumes scatter lights nothing
+    seen = instances.visibility & light_rays(scene_volumes(scene))
+    candidates = np.flatnonzero(seen * ~apart(scene)) if emits.any() else np.zeros(0, int)
     for mesh_index in np.flatnonzero(np.bincount(instances.mesh[candidates])).tolist():
         mesh = scene.meshes[mesh_index]
         if len(mesh.triangles) == 0:

@@ -11,7 +11,7 @@ import warp as wp
 
 from ...device.kernel import KERNEL_OPTIONS
 from ...rays import Rays
-from ...scene.description import ALL_SHADOW_SETS, CATCHER_SHIFT, SHADOW_SET_SHIFT, Visibility
+from ...scene.description import ALL_SHADOW_SETS, CATCHER_SHIFT, SCATTERED_RAYS, SHADOW_SET_SHIFT, Visibility
 from ..rays import VISIBILITY_SHIFT, Paths, Status, bounce_of
 from ..volumes.table import MediaState
 from .state import CaughtPaths, Life
@@ -21,6 +21,9 @@ _RAY_NEW, _SHADOW_NEW = int(Status.RAY_NEW), int(Status.SHADOW_NEW)
 _INSIDE, _HIT = int(Status.INSIDE), int(Status.HIT)
 _WAITING = int(Status.RAY_NEW | Status.RAY_OUT | Status.SHADOW_NEW | Status.SHADOW_OUT)
 _CAMERA, _SHADOW, _ALL = int(Visibility.CAMERA), int(Visibility.SHADOW), int(Visibility.ALL)
+_BY_VOLUME = int(Visibility.VOLUME_SCATTER)
+# What volumes of catchers scatter sees catchers that any other ray sees
+_SEEN_BY_VOLUMES = int(Visibility.CAMERA) | SCATTERED_RAYS
 _MAIN, _WORLD, _COPY, _NEW_COPY = (int(life) for life in (Life.MAIN, Life.WORLD, Life.COPY, Life.NEW_COPY))
 RESTARTED = int(Status.ALIVE | Status.RAY_NEW) | _CAMERA << VISIBILITY_SHIFT
 
@@ -140,6 +143,8 @@ def _to_catchers(visibility: int) -> int:
         kinds = wp.static(_SHADOW)
     if kinds == 0:
         return visibility
+    if kinds == wp.static(_BY_VOLUME):
+        kinds = wp.static(_SEEN_BY_VOLUMES)
     return kinds << wp.static(CATCHER_SHIFT)
 
 

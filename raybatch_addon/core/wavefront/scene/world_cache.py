@@ -62,7 +62,7 @@ def _may_vary(world: World) -> bool:
     """Whether texels do not show what scattered rays find: where only some kinds of them see the world, or it looks at
     the ray, of which texels know one kind.
     """
-    in_part = int(world.visibility) & SCATTERED_RAYS not in (0, SCATTERED_RAYS)
+    in_part = int(world.visibility) & SCATTERED_RAYS != SCATTERED_RAYS
     asks = outputs_read(world.program.instructions, "light_path") - {_IS_CAMERA_RAY}
     return in_part or bool(asks) or not PATH_HISTORY_OPS.isdisjoint(world.program.ops)
 

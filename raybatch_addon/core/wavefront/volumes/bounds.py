@@ -45,9 +45,8 @@ _LINE_CELLS = 8
 _DIMS_LEAST, _DIMS_MOST = 1e-3, 7.0
 # Tiles of a grid whose voxels are looked at together
 _TILES_TOGETHER = 2048
-# Kinds of rays, of which each has a bit, and that of rays that volumes scatter; each with bounce 0 and 1
-_KINDS = 5
-RAYS = 2 * (_KINDS + 1)
+# Kinds of rays, of which each has a bit; each with bounce 0 and 1
+RAYS = 2 * int(Visibility.ALL).bit_count()
 
 
 @dataclass(frozen=True)
@@ -108,10 +107,7 @@ def make_bound(programs: ProgramFeatures, emission: bool = False) -> wp.Function
                 place = transform_point(transform_at(volumes.nodes.geometry, box.moving, time), place)
             ray = int(0)
             while ray < volumes.asked.rays:
-                kind = int(wp.static(int(Visibility.VOLUME_SCATTER)))
-                if ray / 2 < wp.static(_KINDS):
-                    kind = int(1) << (ray / 2)
-                point = ray_point(place, wp.vec3(0.0, 0.0, 1.0), kind, ray % 2, time)
+                point = ray_point(place, wp.vec3(0.0, 0.0, 1.0), int(1) << (ray / 2), ray % 2, time)
                 m = medium(volumes, inside, point, lobes)
                 if wp.static(emission):
                     light = wp.min((m.emission[0] + m.emission[1] + m.emission[2]) / 3.0, 1.0e18)

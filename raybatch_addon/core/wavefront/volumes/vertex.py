@@ -15,7 +15,7 @@ from ...shading.sequences.keys import BSDF, ROULETTE
 from ...shading.sequences.sampler import make_sampler
 from ...shading.volumes.phase import PhaseLobe
 from ..passes.light import divide_volume_ray
-from ..rays import BOUNCE_SHIFT, SHADOW_PASS, VISIBILITY_SHIFT, Paths, Status, note_density, note_receiver
+from ..rays import BOUNCE_SHIFT, BY_VOLUME, SHADOW_PASS, VISIBILITY_SHIFT, Paths, Status, note_density, note_receiver
 from ..scene.shading_data import SceneData
 from ..stages.limits import PathLimits, has_light, survival_of
 from ..stages.surface.aim import AimFeatures, make_choose_light
@@ -135,7 +135,7 @@ def make_scattered(features: VolumeFeatures) -> wp.Function:
         rays.t_max[path] = wp.inf
         if rays.visibility.shape[0] > 0:
             rays.visibility[path] = wp.static(_SEEN_BY)
-        status = (status & wp.static((1 << VISIBILITY_SHIFT) - 1)) | wp.static(_SEEN_BY << VISIBILITY_SHIFT)
+        status = (status & wp.static((1 << VISIBILITY_SHIFT) - 1)) | wp.static(BY_VOLUME)
         bounce = v.bounce + 1
         if volumes.state.scattered[path] > volumes.bounce_max:
             # the path has been scattered by volumes as often as it may: it finds light alone, as in Cycles

@@ -6,7 +6,7 @@ import tempfile
 import bpy
 import numpy as np
 
-from tests.blender.features.build import add_world, ball, box, diffuse, floor, lamp, look
+from tests.blender.features.build import add_world, ball, box, diffuse, floor, lamp, look, shaded
 from tests.blender.features.graph import Graph
 from tests.blender.features.registry import feature
 from tests.support.blender_builders import add_object, material_of, node_tree
@@ -264,6 +264,24 @@ def volume_info(scene: bpy.types.Scene) -> None:
 def one_bounce(scene: bpy.types.Scene) -> None:
     _stage(scene, _scatter("HENYEY_GREENSTEIN", Density=4.0))
     scene.cycles.volume_bounces = scene.raybatch.volume_bounce_max = 1
+
+
+@feature("Ray visibility: objects and lamps that volumes do not see", "Volumes", "picture")
+def unseen_by_volumes(scene: bpy.types.Scene) -> None:
+    """One of two glowing balls and one of two lamps light the volume, and both of each the floor."""
+    _stage(scene, _scatter("HENYEY_GREENSTEIN", Density=2.5), 0.1, 30.0)
+    other = lamp("POINT", (-2.5, -0.5, 2.0), energy=150.0, shadow_soft_size=0.3, color=(0.2, 0.4, 1.0))
+    other.visible_volume_scatter = False
+    for x, color, is_seen in ((-1.6, (0.1, 1.0, 0.1), False), (1.6, (1.0, 0.1, 0.1), True)):
+        glow = ball("Glow", (x, 0.4, 0.7), 0.3)
+        shaded(glow, "ShaderNodeEmission", Color=(*color, 1), Strength=8.0)
+        glow.visible_volume_scatter = is_seen
+
+
+@feature("Ray visibility: a world that volumes do not see", "Volumes", "picture", quick=True)
+def world_unseen_by_volumes(scene: bpy.types.Scene) -> None:
+    _stage(scene, _scatter("HENYEY_GREENSTEIN"), 1.0, 30.0)
+    scene.world.cycles_visibility.scatter = False
 
 
 @feature("Volume made by geometry nodes", "Volumes", "picture")

@@ -11,7 +11,7 @@ from raybatch_addon.core.bvh.traverse.counts import counts_of
 from raybatch_addon.core.bvh.traverse.options import TraceOptions
 from raybatch_addon.core.device.devices import load_kernels
 from raybatch_addon.core.rays import RayList
-from raybatch_addon.core.scene.description import Frame, Mesh, Scene
+from raybatch_addon.core.scene.description import Frame, Mesh, Scene, Visibility
 from raybatch_addon.core.scene.flatten import flatten
 from raybatch_addon.core.scene.geometry import upload_geometry
 from raybatch_addon.core.scene.motion import KEY_FLOATS, instance_maps, maps_at
@@ -126,7 +126,7 @@ def traced(built: BuiltTree, counted: bool = False, any_hit: bool = False) -> di
     for array, values in zip((rays.origin, rays.direction, rays.time), (*rays_through(built, time), time), strict=True):
         array.assign(values)
     rays.t_max.fill_(np.inf)
-    rays.visibility.fill_(31)
+    rays.visibility.fill_(int(Visibility.ALL))
     listed = RayList(
         wp.array(np.arange(RAYS), dtype=int, device=device), wp.array([RAYS], dtype=int, device=device), RAYS
     )

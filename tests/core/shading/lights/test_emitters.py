@@ -60,7 +60,7 @@ def mesh_scene():
         mesh=np.array([0, 1, 0, 1], np.int32),
         transform=np.stack([skew, transform, mirror, transform - 0.2]).astype(np.float32),
         slot_first=np.array([0, 1, 0, 3], np.int32),
-        visibility=np.full(4, 31, np.int32),
+        visibility=np.full(4, int(Visibility.ALL), np.int32),
         object=np.arange(4, dtype=np.int32),
     )
     slots = np.array([0, 1, 2, 1, 1], np.int32)
@@ -125,7 +125,7 @@ def test_mixed_emitters_add_up():
 
 def test_invisible_emissive_instances_are_not_asked():
     scene = mesh_scene()
-    visibility = np.array([int(Visibility.CAMERA), 31, 31, 31], np.int32)
+    visibility = np.array([int(Visibility.CAMERA), *[int(Visibility.ALL)] * 3], np.int32)
     scene = dataclasses.replace(scene, instances=dataclasses.replace(scene.instances, visibility=visibility))
     assert 0 not in find_emissive_triangles(scene).instance
 

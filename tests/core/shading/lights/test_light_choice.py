@@ -7,7 +7,16 @@ import pytest
 import warp as wp
 
 from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
-from raybatch_addon.core.scene.description import Closure, ClosureKind, Instances, Light, LightKind, Material, Mesh
+from raybatch_addon.core.scene.description import (
+    Closure,
+    ClosureKind,
+    Instances,
+    Light,
+    LightKind,
+    Material,
+    Mesh,
+    Visibility,
+)
 from raybatch_addon.core.scene.flatten import flatten
 from raybatch_addon.core.scene.geometry import Geometry, upload_geometry
 from raybatch_addon.core.shading.lights.choice import ChoiceFeatures, lit_point, make_light_choice, packed_side
@@ -109,7 +118,7 @@ def uploaded(lights, triangle_count=0, world=False, copies=0):
                 mesh=np.zeros(1 + copies, np.int32),
                 transform=transform,
                 slot_first=np.zeros(1 + copies, np.int32),
-                visibility=np.full(1 + copies, 31, np.int32),
+                visibility=np.full(1 + copies, int(Visibility.ALL), np.int32),
                 object=np.zeros(1 + copies, np.int32),
             ),
             slot_materials=np.zeros(1, np.int32),

@@ -31,7 +31,7 @@ def floors(lights, links=None, blockers=None, passes=("Combined",), **more):
         lights=lights,
         **more,
     )
-    visibility = np.array([31, 31, int(Visibility.SHADOW)], np.int32)
+    visibility = np.array([int(Visibility.ALL), int(Visibility.ALL), int(Visibility.SHADOW)], np.int32)
     if blockers is not None:
         visibility |= np.array([shadow_bit(each) for each in blockers], np.int32)
     instances = dataclasses.replace(made.instances, visibility=visibility)
@@ -77,7 +77,7 @@ def test_a_mesh_that_shines_is_blocked_by_its_blockers_alone(session):
             frame=Frame(4, 4, passes=("Combined",)),
         )
         bits = np.array([shadow_bit(1), shadow_bit(0), shadow_bit(0)], np.int32)
-        visibility = np.array([31, int(roof), int(Visibility.DIFFUSE)], np.int32) | bits
+        visibility = np.array([int(Visibility.ALL), int(roof), int(Visibility.DIFFUSE)], np.int32) | bits
         links = np.full((3, 3), ALL_LIGHT_SETS, np.uint64)
         links[:, 0], links[:, 2] = 0, ALL_SHADOW_SETS
         links[2, 2] = shadow_sets

@@ -59,9 +59,6 @@ def light_path(data: NodeData, stack: wp.array(dtype=float), pc: int, point: Sha
     [m], bounces, and surfaces passed; then 1 or 0: a volume scattered it.
     """
     kind = point.ray_kind
-    by_volume = kind == wp.static(int(Visibility.VOLUME_SCATTER))
-    if by_volume:
-        kind = 0
     put_number(data, stack, pc + 1, _truth((kind & wp.static(int(Visibility.CAMERA))) != 0))
     put_number(data, stack, pc + 2, _truth((kind & wp.static(int(Visibility.SHADOW))) != 0))
     put_number(data, stack, pc + 3, _truth((kind & wp.static(int(Visibility.DIFFUSE))) != 0))
@@ -71,7 +68,7 @@ def light_path(data: NodeData, stack: wp.array(dtype=float), pc: int, point: Sha
     put_number(data, stack, pc + 7, point.ray_length)
     put_number(data, stack, pc + 8, float(point.bounce))
     put_number(data, stack, pc + 9, float(point.passed))
-    put_number(data, stack, pc + 10, _truth(by_volume))
+    put_number(data, stack, pc + 10, _truth((kind & wp.static(int(Visibility.VOLUME_SCATTER))) != 0))
 
 
 @wp.func

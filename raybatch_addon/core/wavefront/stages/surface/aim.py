@@ -14,7 +14,7 @@ import warp as wp
 
 from ....film.tile import FilmTile
 from ....rays import Rays
-from ....scene.description import LightKind, Visibility
+from ....scene.description import SCATTERED_RAYS, LightKind
 from ....scene.features import narrow
 from ....shading.lights.cells.cells import is_cell
 from ....shading.lights.choice import lit_point
@@ -32,7 +32,8 @@ from ..limits import PathLimits
 from ..work import TileWork
 from .vertex import Vertex, VertexFeatures, make_vertex
 
-# A number that a float holds exactly: bits of `LightSample.delta` and `casts_shadow`, then its visibility and program
+# A number that a float holds exactly: bits of `LightSample.delta` and `casts_shadow`, then its visibility to rays that
+# surfaces scatter, and program
 _CASTS_SHADOW, _VISIBILITY_SHIFT, _PROGRAM_SHIFT = 2, 2, 7
 
 
@@ -136,7 +137,7 @@ def make_aim(features: AimFeatures) -> wp.Function:
         visibility = light.visibility
         if wp.static(features.shadow_links):
             rays.visibility[slot] = visibility  # whose bits are too many for a float
-            visibility = visibility & wp.static(int(Visibility.ALL))
+        visibility = visibility & wp.static(SCATTERED_RAYS)
         bits = bits | (visibility << wp.static(_VISIBILITY_SHIFT)) | (light.program << wp.static(_PROGRAM_SHIFT))
         rays.origin[slot] = wp.vec3(light.pdf, light.distance_error, float(bits))
         rays.direction[slot] = light.direction

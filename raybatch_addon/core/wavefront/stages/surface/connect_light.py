@@ -62,9 +62,12 @@ def make_connect_light(features: SurfaceFeatures, in_volume: bool = False) -> wp
     ) -> int:
         value = bsdf.value
         weight = 1.0 / light.pdf
+        if wp.static(in_volume):
+            if (light.visibility & wp.static(int(Visibility.VOLUME_SCATTER))) == 0:
+                return 0
         if is_lit_in_part(light.visibility):
             # lobes whose rays do not see the light are not lit by it; this strategy alone finds such a light
-            if wp.static(not in_volume):  # such lights shine into volumes all the same
+            if wp.static(not in_volume):
                 side = side_of(data, rays, path, v.frame, light.direction)
                 value = lit_value(bsdf.value, bsdf.diffuse, light.visibility, wp.dot(light.direction, side) > 0.0)
         elif light.delta == 0:

@@ -14,7 +14,7 @@ from ....scene.motion import apart
 from ..bounds import Bounded, bounded_volumes
 
 # The rays by which light of volumes is found
-_LIGHT_RAYS = SCATTERED_RAYS | int(Visibility.SHADOW)
+_LIGHT_RAYS = SCATTERED_RAYS | int(Visibility.SHADOW | Visibility.VOLUME_SCATTER)
 
 
 def aimed_volumes(scene: Scene, volume_of: np.ndarray) -> tuple[list[Bounded], list[Bounded]]:
