@@ -76,7 +76,7 @@ def _exported(
     scene = depsgraph.scene
     camera = export_camera(scene, depsgraph, frame.width, frame.height, warnings, view)
     try:
-        placements = collect_placements(depsgraph, cancelled, exposure is not None)
+        placements = collect_placements(depsgraph, cancelled, exposure is not None, None if sharp else exposure)
     except Cancelled:
         return None
     exported = assembled(depsgraph, camera, frame, placements, warnings, moves=exposure is not None and not sharp)

@@ -171,6 +171,9 @@ class Mesh:
     base_positions: np.ndarray | None = None
     grids: tuple[Grid, ...] = ()  # values that the programs of its volumes read
     object_density: bool = False  # coefficients of its volumes are those of object space, not of the world [1/m]
+    # how far what fills the mesh moves while the shutter is open, in object space [m]: vectors; None: it does not
+    flow: Grid | None = None
+    flow_time: float = 0.5  # when all is where `grids` and `flow` have it; 0 to 1 while the shutter is open
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
@@ -113,7 +113,7 @@ class SceneFeatures:
     @property
     def motion(self) -> bool:
         """Whether the time at which a path is traced matters."""
-        return self.camera_motion or self.moving
+        return self.camera_motion or self.moving or self.volume_program.flows
 
     @property
     def shadow_rays(self) -> bool:
@@ -243,6 +243,7 @@ class SceneFeatures:
             "shadow catchers": self.catchers,
             "volumes": self.volumes,
             "programs of volumes": bool(self.volume_program),
+            "motion within volumes": self.volume_program.flows,
             "rays for programs": self.requests,
         }
         return sorted(name for name, there in names.items() if not there)
@@ -324,9 +325,7 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
         light_bounces=is_sampled and limits_bounces(scene, settings.bounce_max, world_light),
         catchers=surfaces and shows_catchers(scene.frame.passes) and bool(catchers(scene).any()),
         volumes=bool(volumes),
-        volume_program=program_features(
-            [volume.program for volume in volumes], max((len(volume.closures) for volume in volumes), default=0)
-        ),
+        volume_program=_volume_programs(scene, volumes),
     )
 
 
@@ -361,6 +360,13 @@ def _material_programs(scene: Scene) -> ProgramFeatures:
         [material.program for material in scene.materials],
         max((len(material.closures) for material in scene.materials), default=0),
     )
+
+
+def _volume_programs(scene: Scene, volumes: list[Volume]) -> ProgramFeatures:
+    needs = program_features(
+        [volume.program for volume in volumes], max((len(volume.closures) for volume in volumes), default=0)
+    )
+    return replace(needs, flows=bool(needs) and any(mesh.flow is not None for mesh in scene.meshes))
 
 
 def needs_instancing(scene: Scene) -> bool:

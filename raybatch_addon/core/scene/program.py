@@ -56,6 +56,7 @@ class ProgramFeatures:
     closure_count: int = 1  # most closures of a material
     apart: bool = False  # the interpreter is compiled once, for all kernels of the general tier, and called
     answer_count: int = 0  # answers of rays at most; in the last registers
+    flows: bool = False  # of volumes: some move by grids while the shutter is open; nothing to the interpreter
 
     def __bool__(self) -> bool:
         return bool(self.ops)

@@ -100,7 +100,7 @@ def _general_features(on_gpu: bool) -> SceneFeatures:
         volume_lights=True,
         catchers=not on_gpu,
         volumes=True,
-        volume_program=_programs(of_volumes),
+        volume_program=dataclasses.replace(_programs(of_volumes), flows=True),
     )
 
 

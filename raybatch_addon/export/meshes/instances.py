@@ -18,6 +18,7 @@ from ..curves.sources import STRAND_KIND, hair_systems
 from ..light_links import LightLinking
 from ..lights import LampGraphs, export_light, is_portal
 from ..motion.objects import PlacedMotions
+from ..motion.shutter import Exposure
 from ..nodes.collections import OF_INSTANCER
 from ..settings import output_engine
 from .attributes import object_value, position_on_surface
@@ -50,11 +51,14 @@ def _named(names: list[str]) -> str:
 
 
 def collect_placements(
-    depsgraph: bpy.types.Depsgraph, cancelled: Callable[[], bool], moving: bool = False
+    depsgraph: bpy.types.Depsgraph, cancelled: Callable[[], bool], moving: bool = False, blur: Exposure | None = None
 ) -> Placements:
-    """One pass over `depsgraph`; `moving`: with what finds things again at other times. Raises `Cancelled`."""
+    """One pass over `depsgraph`; `moving`: with what finds things again at other times. Grids move in the time `blur`.
+    Raises `Cancelled`.
+    """
     with known_meshes(depsgraph, moving) as known:
         collector = PlacementCollector(depsgraph, moving, known)
+        collector.blur = blur
         for count, placed in enumerate(depsgraph.object_instances):
             if count % _CANCEL_INTERVAL == 0 and cancelled():
                 raise Cancelled
@@ -69,6 +73,7 @@ class PlacementCollector:
         """`live`: as a viewport shows it, with the meshes that are known from passes before."""
         self._live = live
         self._motions = PlacedMotions() if moving else None
+        self.blur: Exposure | None = None
         self.viewport = depsgraph.mode != "RENDER"
         self.placements = Placements()
         self.look_at(depsgraph)
@@ -330,7 +335,8 @@ class PlacementCollector:
         """Index of the box around a volume object, with the grids `asked`; None if there is nothing in it."""
         if (key := (*key, *asked)) not in self._meshes:
             frame = self.placements.materials.collections.frame
-            made = export_volume(obj, dict.fromkeys(name for _, name in asked), frame, self.placements.warnings)
+            names = dict.fromkeys(name for _, name in asked)
+            made = export_volume(obj, names, frame, self.placements.warnings, self.blur)
             self._meshes[key] = None if made is None else len(self.placements.meshes)
             if made is not None:
                 self.placements.meshes.append(made)

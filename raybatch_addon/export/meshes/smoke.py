@@ -11,6 +11,7 @@ from ...core.scene.description import Grid
 from ...core.scene.frozen import freeze
 from ...core.scene.notice import Notice, Weight
 
+SMOKE_VELOCITY = "velocity"
 # By name of an attribute: the domain's property, its numbers a voxel, and whether noise makes it finer
 _GRIDS = {
     "density": ("density_grid", 1, True),
@@ -18,7 +19,7 @@ _GRIDS = {
     "color": ("color_grid", 4, True),
     "temperature": ("temperature_grid", 1, True),
     "heat": ("heat_grid", 1, False),
-    "velocity": ("velocity_grid", 3, False),
+    SMOKE_VELOCITY: ("velocity_grid", 3, False),
 }
 # Nodes that make volumes
 _VOLUME_NODES = ("ToVolume", "VolumeCube", "StoreNamedGrid", "SetGridBackground", "ImportVDB")

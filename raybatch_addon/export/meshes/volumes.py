@@ -17,7 +17,10 @@ from ...core.scene.frozen import freeze
 from ...core.scene.notice import Notice, Weight
 from ...core.shading.volumes.grids import CUBE_CORNERS, TILE, cut_into_tiles
 from ...core.shading.volumes.vdb_header import header_is_whole
-from .smoke import not_finite, smoke_grids
+from ..motion.objects import object_steps
+from ..motion.shutter import Exposure
+from .flows import flow_names, flow_of_smoke, flow_of_volume, with_flow
+from .smoke import SMOKE_VELOCITY, not_finite, smoke_domain, smoke_grids
 
 # Most values of the tiles of a grid that hold any: more do not fit a computer's memory
 _VALUES_MOST = 1 << 29
@@ -32,29 +35,43 @@ _QUADS = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2
 _TRIANGLES = np.concatenate([_QUADS[:, :3], _QUADS[:, [0, 2, 3]]]).astype(np.int32)
 
 
-def export_volume(obj: bpy.types.Object, names: Iterable[str], frame: int, warnings: list[str]) -> Mesh | None:
-    """A box around the grids called `names` of `obj`, evaluated at `frame`, a volume object or smoke; with these grids.
+def export_volume(
+    obj: bpy.types.Object, names: Iterable[str], frame: int, warnings: list[str], exposure: Exposure | None = None
+) -> Mesh | None:
+    """A box around the grids called `names` of `obj`, evaluated at `frame`, a volume object or smoke; with these grids,
+    and how what they hold moves in the time of `exposure`.
 
     None where there is nothing to see; `warnings` gets a line for whatever cannot be read.
     """
     texts: list[str] = []
-    mesh = _exported(obj, list(names), frame, texts)
+    mesh = _exported(obj, list(names), frame, texts, exposure)
     # what was not weighed is not in the picture
     warnings += [Notice(text, getattr(text, "weight", Weight.MISSING), objects=[obj.name]) for text in texts]
     return mesh
 
 
-def _exported(obj: bpy.types.Object, names: list[str], frame: int, warnings: list[str]) -> Mesh | None:
+def _exported(
+    obj: bpy.types.Object, names: list[str], frame: int, warnings: list[str], exposure: Exposure | None
+) -> Mesh | None:
     volume = obj.data
+    if exposure is not None and object_steps(obj, None) == 0:
+        exposure = None
+    flow = None
     is_smoke = obj.type != "VOLUME"
     label = f"{'smoke' if is_smoke else 'volume object'} “{obj.name}”"
     if is_smoke:
         found = smoke_grids(obj, names, frame, label, warnings)
+        if exposure is not None and found and (domain := smoke_domain(obj)) is not None:
+            velocities = smoke_grids(obj, [SMOKE_VELOCITY], frame, label, [])
+            flow = flow_of_smoke(domain, velocities[0] if velocities else None, exposure)
         boxes = [_box(grid, np.zeros(3), np.array(grid.values.shape[:3]) - 1) for grid in found]
     else:
-        reads = _read(obj, sorted(set(names)), label, warnings)
-        grids = [made for name, read in reads if (made := _grid(name, read, label, warnings)) is not None]
-        found, boxes = [grid for grid, _ in grids], [box for _, box in grids]
+        reads = _read(obj, set(names), label, warnings, with_flows=exposure is not None)
+        grids = {name: made for name, read in reads if (made := _grid(name, read, label, warnings)) is not None}
+        asked = [grids[name] for name in grids if name in names]
+        found, boxes = [grid for grid, _ in asked], [box for _, box in asked]
+        if exposure is not None:
+            flow = flow_of_volume(volume, {name: grid for name, (grid, _) in grids.items()}, exposure, label, warnings)
     if not boxes:
         if not warnings and not is_smoke:
             named = ", ".join(f"“{name}”" for name in names) or "that its material reads"
@@ -65,7 +82,7 @@ def _exported(obj: bpy.types.Object, names: list[str], frame: int, warnings: lis
         warnings.append(Notice(f"{label}: the place of its grids is not finite; it is left out", Weight.REPAIRED))
         return None
     space = (tuple((0.5 * (low + high)).tolist()), tuple((0.5 * (high - low)).tolist()))
-    return Mesh(
+    mesh = Mesh(
         volume.name,
         (low + CUBE_CORNERS * (high - low)).astype(np.float32),
         _TRIANGLES,
@@ -73,10 +90,11 @@ def _exported(obj: bpy.types.Object, names: list[str], frame: int, warnings: lis
         grids=tuple(found),
         object_density=not is_smoke and volume.render.space == "OBJECT",
     )
+    return mesh if exposure is None else with_flow(mesh, flow, exposure)
 
 
-def _read(obj: bpy.types.Object, names: list[str], label: str, warnings: list[str]):
-    """Name and OpenVDB grid of those of `names` that the volume object `obj` has."""
+def _read(obj: bpy.types.Object, names: set[str], label: str, warnings: list[str], with_flows: bool):
+    """Name and OpenVDB grid of those of `names` that the volume object `obj` has; `with_flows`: of velocities too."""
     volume = obj.data
     is_made = len(obj.modifiers) > 0 or not (volume.filepath or volume.packed_file)
     if not is_made and not volume.grids.is_loaded and not _has_header(volume):
@@ -87,6 +105,7 @@ def _read(obj: bpy.types.Object, names: list[str], label: str, warnings: list[st
         warnings.append(f"{label}: its file “{volume.filepath}” cannot be read ({why}); it is left out")
         return
     there = [grid.name for grid in volume.grids]
+    names = names | flow_names(volume) if with_flows else names
     path = volume.grids.frame_filepath or bpy.path.abspath(volume.filepath, library=volume.library)
     try:
         openvdb = _openvdb()
@@ -104,7 +123,7 @@ def _read(obj: bpy.types.Object, names: list[str], label: str, warnings: list[st
             path = os.path.join(folder, "packed.vdb")
             with open(path, "wb") as file:
                 file.write(volume.packed_file.data)
-        for name in names:
+        for name in sorted(names):
             if name not in there:
                 continue
             try:

@@ -11,7 +11,7 @@ from ...core.scene.description import ClosureKind, Scene
 from ...core.scene.features import emits_somewhere, scene_volumes
 from ...core.scene.notice import Notice, Weight, about
 from ..taken_over.take import passed_over_settings
-from .object_rows import MOVING_ROWS, OBJECT_ROWS
+from .object_rows import OBJECT_ROWS
 from .row import notices, object_notices
 from .scene_rows import SCENE_ROWS
 
@@ -24,10 +24,6 @@ def passed_over(depsgraph: bpy.types.Depsgraph, objects: Iterable[bpy.types.Obje
     ]
     objects = list(objects)
     found += object_notices(OBJECT_ROWS, objects)
-    if scene.render.use_motion_blur and layer.use_motion_blur:
-        found += object_notices(
-            MOVING_ROWS, [each.evaluated_get(depsgraph) for each in objects if each.type == "VOLUME"]
-        )
     return found + passed_over_settings(scene)
 
 

@@ -42,12 +42,6 @@ def _reads_grids_smoothly(obj: bpy.types.Object) -> bool:
     return any(getattr(getattr(each, "cycles", None), "volume_interpolation", "") == "CUBIC" for each in materials)
 
 
-def _has_velocity(obj: bpy.types.Object) -> bool:
-    """Whether a volume object, evaluated, moves by grids of its own: Blender finds them by their names."""
-    volume = obj.data
-    return bool(volume.velocity_grid) and volume.velocity_scale != 0
-
-
 OBJECT_ROWS = (
     Row(
         "Shading Offset of the shadow terminator is not supported; these are shaded as at 0: {found}",
@@ -79,15 +73,5 @@ OBJECT_ROWS = (
         lambda obj: _cycles(obj, "use_camera_cull") or _cycles(obj, "use_distance_cull"),
         Weight.SETTING,
         "turn off Camera Cull and Distance Cull of the object",
-    ),
-)
-# Of volume objects, evaluated, where motion blur is on
-MOVING_ROWS = (
-    Row(
-        "motion blur of volumes by their velocity grids is not supported; these are rendered as they are in the middle "
-        "of the exposure: {found}",
-        _has_velocity,
-        Weight.REPLACED,
-        "set Velocity Scale of the volume to 0",
     ),
 )

@@ -42,6 +42,7 @@ MODULES = (
     "curves.strands",
     "curves.particle_hair",
     "volumes",
+    "volumes_moving",
     "cameras",
     "motion",
 )

@@ -188,19 +188,6 @@ def test_cubic_interpolation_of_grids_is_named(smoke):
     assert notice.weight == REPLACED and notice.objects == ("Smoke",)
 
 
-def test_velocity_grids_are_named_where_they_would_blur(scene, smoke):
-    assert found("velocity grids") == []
-    scene.render.use_motion_blur = True
-    (notice,) = found("velocity grids")
-    assert notice.weight == REPLACED and notice.objects == ("Smoke",)
-    smoke.data.velocity_scale = 0
-    smoke.data.update_tag()
-    assert found("velocity grids") == []
-    smoke.data.velocity_scale, scene.view_layers[0].use_motion_blur = 1, False
-    smoke.data.update_tag()
-    assert found("velocity grids") == []
-
-
 @pytest.mark.parametrize("emitter", ["lamp", "mesh"])
 @pytest.mark.parametrize(
     ("state", "roughness", "named"), [("EXCLUDE", 0.0, True), ("EXCLUDE", 0.1, False), ("INCLUDE", 0.0, False)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...device.bulk import digest_of
-from ...scene.description import Grid
+from ...scene.description import Grid, Mesh
 from ...scene.frozen import fact
 
 # Voxels along an edge of a tile
@@ -42,6 +42,16 @@ def cut_into_tiles(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def is_scalar(grid: Grid) -> bool:
     """Whether a voxel has one number."""
     return grid.values.ndim == (3 if grid.corners is None else 4)
+
+
+def flow_reach(mesh: Mesh) -> np.ndarray:
+    """How far anything that fills `mesh` is from where its grids have it, at most, along each axis of its space [m];
+    float64, shape [3].
+    """
+    if mesh.flow is None:
+        return np.zeros(3)
+    most = np.abs(mesh.flow.values.reshape(-1, 3)).max(0, initial=0).astype(np.float64)
+    return most * max(abs(mesh.flow_time), abs(1 - mesh.flow_time))
 
 
 def grid_digest(grid: Grid) -> bytes:

@@ -148,7 +148,12 @@ def bounds_key(
     kinds = tuple((int(image.encoding), tuple(number for number, _ in image.tiles or ())) for image in images)
     made = tuple(program and (program.instructions, program.constants.tobytes()) for program in programs)
     grids = [
-        (mesh.object_density, tuple((grid.name, grid_digest(grid)) for grid in mesh.grids)) for mesh in scene.meshes
+        (
+            mesh.object_density,
+            tuple((grid.name, grid_digest(grid)) for grid in mesh.grids),
+            mesh.flow and (grid_digest(mesh.flow), mesh.flow_time),
+        )
+        for mesh in scene.meshes
     ]
     numbers = [grid.to_index for mesh in scene.meshes for grid in mesh.grids]
     numbers += [array for array in arrays if array is not None and not is_frozen(array)]

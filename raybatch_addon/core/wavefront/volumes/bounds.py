@@ -4,13 +4,15 @@ A program is evaluated at a point of each octant of a cell, and where grids that
 The largest extinction of the cell and of the octants around it counts, where the volume moves of the cells around it.
 That is an estimate: where a program exceeds it, the volume is rendered as dense as the bound: to shadow rays that of
 the extinction, to paths that of flights, which is larger where there is light.
+
+What moves by grids is looked at as the grids have it, and what was found counts as far as anything comes.
 """
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import warp as wp
@@ -25,7 +27,7 @@ from ...scene.program import ProgramFeatures
 from ...scene.validate import box_of
 from ...shading.bsdf.materials import address_of
 from ...shading.sequences.keys import mix_bits, sequence_number
-from ...shading.volumes.grids import CUBE_CORNERS, TILE, is_scalar, tiles_of
+from ...shading.volumes.grids import CUBE_CORNERS, TILE, flow_reach, is_scalar, tiles_of
 from ...shading.volumes.phase import PhaseLobe
 from .medium import LOBES_MOST, PHASE_LOBE_FLOATS, WORLD_REACH, make_medium
 from .segment import ray_point
@@ -79,7 +81,7 @@ def make_bound(programs: ProgramFeatures, emission: bool = False) -> wp.Function
     """Function (volumes, i: int): finds the largest extinction at points of cell `i` of the boxes that are `asked` for,
     and what is known of its `emission`.
     """
-    medium = make_medium(programs)
+    medium = make_medium(replace(programs, flows=False))
 
     @wp.func
     def bound(volumes: VolumeData, i: int):
@@ -220,6 +222,10 @@ def find_bounds(
         launch(volumes, len(together) * count)
         shape = len(together), cells, cells, cells, 2, 2, 2, 2
         around[together] = [_largest_around(each) for each in asked.found.numpy().reshape(shape)]
+        for number in together:
+            mesh = bounded[number].mesh
+            if mesh is not None and mesh.flow is not None:
+                around[number] = _spread(around[number], np.ceil(flow_reach(mesh) / size[number] * cells).astype(int))
         volumes.asked = asked = BoundWork()  # before the next one takes memory
     volumes.world = world
     denser = around.reshape(len(bounded), -1).max(1) > most
@@ -314,6 +320,18 @@ def _largest_around(octants: np.ndarray) -> np.ndarray:
         own[tuple(behind)] = np.maximum(own[tuple(behind)], high[tuple(before)])
         own[tuple(before)] = np.maximum(own[tuple(before)], low[tuple(behind)])
         cells = own.squeeze(3)
+    return cells
+
+
+def _spread(cells: np.ndarray, reach: np.ndarray) -> np.ndarray:
+    """The largest of all cells that are at most `reach` cells from each along each axis; shape [x, y, z, ...]."""
+    for axis, far in enumerate(np.minimum(reach, cells.shape[:3]).tolist()):
+        moved = np.moveaxis(cells, axis, 0)
+        spread = moved.copy()
+        for step in range(1, far + 1):
+            np.maximum(spread[step:], moved[:-step], out=spread[step:])
+            np.maximum(spread[:-step], moved[step:], out=spread[:-step])
+        cells = np.moveaxis(spread, 0, axis)
     return cells
 
 

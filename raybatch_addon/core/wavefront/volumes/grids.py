@@ -13,6 +13,7 @@ from ...programs.inputs_data import InputData
 from ...programs.ops.inputs.grids import GRID_NUMBERS
 from ...scene.description import Grid, Scene
 from ...shading.volumes.grids import TILE, grid_digest, is_scalar, tiles_of
+from .table import Flow, VolumeData
 
 
 class GridCache:
@@ -93,7 +94,8 @@ def upload_grids(scene: Scene, inputs: InputData, device: wp.Device, cache: Grid
         return []
     keys: dict[int, tuple[str, bytes]] = {}  # by identity of the values
     for mesh in scene.meshes:
-        keys |= {id(grid.values): grid_key(grid, device) for grid in mesh.grids if id(grid.values) not in keys}
+        grids = mesh.grids if mesh.flow is None else (*mesh.grids, mesh.flow)
+        keys |= {id(grid.values): grid_key(grid, device) for grid in grids if id(grid.values) not in keys}
     cache.keep_only(keys.values())
     uploaded: dict[int, wp.Volume] = {}
     shape = (len(scene.meshes), max(len(scene.attributes), 1))
@@ -116,6 +118,25 @@ def upload_grids(scene: Scene, inputs: InputData, device: wp.Device, cache: Grid
     joined = np.concatenate(numbers) if numbers else np.zeros(0, np.float32)
     inputs.attribute_values = wp.array(joined, dtype=float, device=device)
     return list(uploaded.values())
+
+
+def upload_flows(scene: Scene, data: VolumeData, device: wp.Device, cache: GridCache) -> list[wp.Volume]:
+    """How what fills meshes moves, noted in `data`; the grids have to be kept. Nothing where nothing does."""
+    moving = [i for i, mesh in enumerate(scene.meshes) if mesh.flow is not None]
+    if not moving:
+        return []
+    flows, volumes = np.zeros(len(moving), Flow.numpy_dtype()), []
+    row_of = np.full(len(scene.meshes), -1, np.int32)
+    for row, index in enumerate(moving):
+        mesh = scene.meshes[index]
+        assert mesh.flow is not None
+        volumes.append(cache.get(grid_key(mesh.flow, device), mesh.flow, device))
+        flows[row]["grid"], flows[row]["to_index"] = volumes[-1].id, mesh.flow.to_index
+        flows[row]["time"] = mesh.flow_time
+        row_of[index] = row
+    data.flows = wp.array(flows, dtype=Flow, device=device)
+    data.flow_of = wp.array(row_of[scene.instances.mesh], dtype=int, device=device)
+    return volumes
 
 
 def _keys(name: str) -> tuple[tuple[str, str], ...]:

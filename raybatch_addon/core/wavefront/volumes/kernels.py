@@ -96,7 +96,7 @@ def _bound_kernel(function: wp.Function) -> wp.Kernel:
 
 def _general_kernel(features: VolumeFeatures) -> wp.Kernel:
     # lamps are in the same interpreter as volumes
-    features = dataclasses.replace(features, lamp_program=features.volume_program)
+    features = dataclasses.replace(features, lamp_program=dataclasses.replace(features.volume_program, flows=False))
     program = features.volume_program
     return _kernel_of_all(
         make_scatter(features), make_transmit(features), make_bound(program, features.volume_lights), program.ops

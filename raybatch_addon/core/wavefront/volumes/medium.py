@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 
 import warp as wp
 
 from ...device.codegen.local_arrays import Unset
 from ...float32 import UNIT_ROUNDOFF
+from ...programs.object_space import object_to_world, world_to_object
 from ...programs.point import IN_VOLUME, ShadingPoint
 from ...programs.run import make_run
 from ...programs.uniform import is_uniform
@@ -18,7 +20,7 @@ from ...scene.program import ProgramFeatures
 from ...shading.bsdf.materials import RECORD_FLOATS, ClosureRecord, address_of, address_of_closure
 from ...shading.volumes.enclosures import FARTHEST
 from ...shading.volumes.phase import PhaseLobe, phase_pdf, phase_value, sampled_cosine
-from .table import FLIGHTS, INSIDE_MOST, VolumeData, entry
+from .table import FLIGHTS, INSIDE_MOST, Flow, VolumeData, entry
 
 # Scattering closures of a point; those beyond them scatter as the last one
 LOBES_MOST = 16
@@ -64,13 +66,30 @@ def passes(extinction: wp.vec3, length: float) -> wp.vec3:
     return wp.vec3(wp.exp(-extinction[0] * reach), wp.exp(-extinction[1] * reach), wp.exp(-extinction[2] * reach))
 
 
+@wp.func
+def flowed_from(volumes: VolumeData, flow: Flow, point: ShadingPoint) -> wp.vec3:
+    """Where what is at `point` at its time was when the grids were made [m]: against the way that it takes, whose
+    vector is looked up where that of the point says (semi-Lagrangian advection; Kim and Ko, "Eulerian Motion Blur",
+    2007). Cycles does so.
+    """
+    here = transform_point(world_to_object(volumes.nodes, point), point.position)
+    elapsed = point.time - flow.time
+    there = here
+    for _ in range(2):
+        way = wp.volume_sample_v(flow.grid, transform_point(flow.to_index, there), wp.Volume.LINEAR)
+        there = here - elapsed * way
+    if there[0] == here[0] and there[1] == here[1] and there[2] == here[2]:
+        return point.position
+    return transform_point(object_to_world(volumes.nodes, point), there)
+
+
 @functools.cache
 def make_medium(programs: ProgramFeatures) -> wp.Function:
     """Function (volumes, inside: vec4i, point: ShadingPoint, lobes: array of PhaseLobe) -> Coefficients: what there is
     at `point`, of which instance and primitive are set here. Scattering closures are written to `lobes`. Without
     `programs` volumes that have one count as empty.
     """
-    run = make_run(programs)
+    run = make_run(replace(programs, flows=False))
 
     @wp.func
     def medium(
@@ -94,6 +113,11 @@ def make_medium(programs: ProgramFeatures) -> wp.Function:
                         here = point
                         here.instance = found[0]
                         here.primitive = wp.static(IN_VOLUME)
+                        if wp.static(programs.flows):
+                            if found[0] >= 0 and volumes.flow_of.shape[0] > 0:
+                                flow = volumes.flow_of[found[0]]
+                                if flow >= 0:
+                                    here.position = flowed_from(volumes, volumes.flows[flow], here)
                         stack = wp.zeros(wp.static(programs.register_count), dtype=float)
                         records = wp.zeros(wp.static(programs.closure_count * RECORD_FLOATS), dtype=Unset)
                         address = address_of(records)

@@ -112,6 +112,15 @@ class MediaState:
 
 
 @wp.struct
+class Flow:
+    """How what fills a mesh moves while the shutter is open."""
+
+    grid: wp.uint64  # of vectors: how far in that time, in object space [m]
+    to_index: mat34  # object space to its indices
+    time: float  # at which all is where the grids have it, 0 to 1
+
+
+@wp.struct
 class VolumeData:
     """Volumes of a scene, numbered in the order of the materials that have them, the world's last."""
 
@@ -125,6 +134,8 @@ class VolumeData:
     varies: int  # 1: a program may give other coefficients at other points of an object
     scatters: int  # 0: no light is looked for along rays, as none of the volumes scatters
     density_scale: wp.array(dtype=float)  # of each instance: factor of all coefficients; empty: 1
+    flow_of: wp.array(dtype=int)  # entry in `flows` of each instance; -1: nothing moves there. Empty: nothing does
+    flows: wp.array(dtype=Flow)
     bounds_of: wp.array(dtype=int)  # entry in `grids`, by instance * volume_count + volume; -1: there is no program
     world_bounds: int
     grids: wp.array(dtype=Bounds)

@@ -26,7 +26,7 @@ from ..scene.unchanged import Last, bounds_key
 from .bounds import RAYS, FoundBounds, bounded_volumes, find_bounds, goes_on_beyond
 from .emission.cells import FoundCells, find_cells, has_owners
 from .features import VolumeFeatures
-from .grids import GridCache, density_scale, upload_grids
+from .grids import GridCache, density_scale, upload_flows, upload_grids
 from .kernels import launch_bound
 from .medium import WORLD_REACH, may_vary
 from .table import VolumeData
@@ -107,6 +107,7 @@ def upload_volumes(
     if features.volume_program:
         inputs = upload_inputs(scene, features.volume_program.ops, device)
         grids = upload_grids(scene, inputs, device, cache.grids)
+        grids += upload_flows(scene, data, device, cache.grids)
         data.nodes = upload_programs(programs, features.volume_program, scene, geometry, images, device, inputs)
     else:
         cache.grids.clear()
