@@ -9,6 +9,7 @@ import bpy
 from ..core.scene.description import Image, Material
 from .kept_graphs import KeptGraph, KeptGraphs
 from .nodes.collections import Collections
+from .nodes.volume_builder import reads_smoothly
 from .world import has_nodes
 
 
@@ -86,7 +87,7 @@ class KeptMaterials(KeptGraphs):
             return None
         own = material.pass_index, material.displacement_method, tuple(material.diffuse_color)
         flags = emission_sampling(material), corrects_bump(material), material.use_transparent_shadow
-        return self.graph_signature(material, *own, *flags)
+        return self.graph_signature(material, *own, *flags, reads_smoothly(material))
 
     def find_untouched(self, material: bpy.types.Material | None) -> tuple[Material, list[str]] | None:
         """Find a material as `find` does, one that no edit touched, without its signature."""

@@ -16,6 +16,7 @@ from .texture_space import generated_corners, texture_space_maps
 _TEXTURE_SPACE_OPS = frozenset({"generated", "radial_tangent"})
 _OBJECT_OPS = _TEXTURE_SPACE_OPS | {
     "volume_attribute",
+    "volume_attribute_cubic",
     "object_coordinates",
     "object_normal",
     "object_location",

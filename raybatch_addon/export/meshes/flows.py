@@ -106,5 +106,10 @@ def with_flow(mesh: Mesh, flow: Grid | None, exposure: Exposure) -> Mesh:
     # grids are of whole frames
     begin = exposure.middle - exposure.length / 2
     moved = replace(mesh, flow=flow, flow_time=(math.floor(exposure.middle) - begin) / exposure.length)
+    return enlarged(moved, flow_reach(moved))
+
+
+def enlarged(mesh: Mesh, reach: np.ndarray) -> Mesh:
+    """`mesh`, a box, that goes on by `reach` along each axis to both sides; float64, shape [3]."""
     side = np.sign(mesh.positions - mesh.positions.mean(0))
-    return replace(moved, positions=(mesh.positions + side * flow_reach(moved)).astype(np.float32))
+    return replace(mesh, positions=(mesh.positions + side * reach).astype(np.float32))

@@ -19,7 +19,8 @@ from ...core.shading.volumes.grids import CUBE_CORNERS, TILE, cut_into_tiles
 from ...core.shading.volumes.vdb_header import header_is_whole
 from ..motion.objects import object_steps
 from ..motion.shutter import Exposure
-from .flows import flow_names, flow_of_smoke, flow_of_volume, with_flow
+from ..nodes.volume_builder import reads_smoothly
+from .flows import enlarged, flow_names, flow_of_smoke, flow_of_volume, with_flow
 from .smoke import SMOKE_VELOCITY, not_finite, smoke_domain, smoke_grids
 
 # Most values of the tiles of a grid that hold any: more do not fit a computer's memory
@@ -90,6 +91,9 @@ def _exported(
         grids=tuple(found),
         object_density=not is_smoke and volume.render.space == "OBJECT",
     )
+    if any(reads_smoothly(slot.material) for slot in obj.material_slots):
+        # a voxel counts one voxel farther off
+        mesh = enlarged(mesh, np.max([np.abs(np.linalg.inv(grid.to_index[:, :3])).sum(1) for grid in found], 0))
     return mesh if exposure is None else with_flow(mesh, flow, exposure)
 
 

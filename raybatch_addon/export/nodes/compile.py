@@ -18,7 +18,7 @@ from .inputs.aovs import write_aovs
 from .inputs.normals import bump_from_displacement
 from .node import Graph, Node, deep_recursion
 from .survey import surveyed
-from .volume_builder import VolumeBuilder
+from .volume_builder import VolumeBuilder, reads_smoothly
 
 if TYPE_CHECKING:
     import bpy
@@ -53,7 +53,7 @@ def compile_volume(socket, owner: bpy.types.ID, collections: Collections) -> tup
     """
     if socket is None or find_source(socket)[0] is None:
         return None, ()
-    builder = VolumeBuilder(type(owner).__name__ == "World", collections.grids())
+    builder = VolumeBuilder(type(owner).__name__ == "World", collections.grids(), reads_smoothly(owner))
     compiled = _compiled_from(Graph(owner, collections, builder, keeps_values=is_inlinable(owner)), socket)
     volume = Volume(compiled.closures, compiled.program)
     return (volume if volume.closures or volume.program else None), tuple(

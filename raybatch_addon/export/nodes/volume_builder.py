@@ -26,12 +26,14 @@ _OF_OBJECTS = ("generated", "object_coordinates", "position")
 class VolumeBuilder(ProgramBuilder):
     """Steps of the program of a volume."""
 
-    def __init__(self, of_world: bool, has_grids: bool) -> None:
+    def __init__(self, of_world: bool, has_grids: bool, smooth: bool = False) -> None:
         """A program without steps.
 
-        `of_world`: of the volume that fills the world, which is no object; `has_grids`: there are objects with grids.
+        `of_world`: of the volume that fills the world, which is no object; `has_grids`: there are objects with grids;
+        `smooth`: these are read by splines.
         """
         super().__init__()
+        self._reads_grids = "volume_attribute_cubic" if smooth else "volume_attribute"
         self._of_world, self._has_grids = of_world, has_grids and not of_world
 
     def value(self, name: str, *operands) -> Value | tuple[Value, ...]:
@@ -41,6 +43,8 @@ class VolumeBuilder(ProgramBuilder):
         if name == "volume_attribute" and not self._has_grids:
             missing = Value.of(operands[1]).number()
             return Value.of((missing,) * 3), Value.of(missing), _NONE
+        if name == "volume_attribute":
+            return super().value(self._reads_grids, *operands)
         if name in _OF_TRIANGLES:
             return _OF_TRIANGLES[name]
         if self._of_world and name in _OF_OBJECTS:
@@ -51,6 +55,14 @@ class VolumeBuilder(ProgramBuilder):
         """Add a closure, if volumes have such."""
         if name == "emission" or name.startswith(VOLUME_PREFIX):
             super().closure(name, *operands)
+
+
+def reads_smoothly(material: Any) -> bool:
+    """Whether a material says that grids are read by splines, or None, which does not."""
+    # the setting belongs to Cycles, and is there as long as that add-on is enabled; a change of it updates no copy that
+    # was evaluated
+    own = getattr(getattr(material, "original", None), "cycles", None)
+    return getattr(own, "volume_interpolation", "LINEAR") == "CUBIC"
 
 
 def is_in_volume(graph: Any) -> bool:

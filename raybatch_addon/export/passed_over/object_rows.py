@@ -7,7 +7,6 @@ from typing import Any
 import bpy
 
 from ...core.scene.notice import Weight
-from ..meshes.smoke import smoke_domain
 from .row import Row
 
 # Types of objects whose surface light falls on
@@ -35,25 +34,12 @@ def _shifts_terminator(obj: bpy.types.Object) -> bool:
     return obj.type in _SURFACES and getattr(obj, "shadow_terminator_shading_offset", 0.0) > 0
 
 
-def _reads_grids_smoothly(obj: bpy.types.Object) -> bool:
-    if obj.type != "VOLUME" and (obj.type != "MESH" or smoke_domain(obj) is None):
-        return False
-    materials = [slot.material for slot in obj.material_slots if slot.material is not None]
-    return any(getattr(getattr(each, "cycles", None), "volume_interpolation", "") == "CUBIC" for each in materials)
-
-
 OBJECT_ROWS = (
     Row(
         "Shading Offset of the shadow terminator is not supported; these are shaded as at 0: {found}",
         _shifts_terminator,
         Weight.REPLACED,
         "set Shading Offset to 0 in the object's Shading settings, and give the mesh more faces",
-    ),
-    Row(
-        "Cubic interpolation of volumes is not supported; grids of these are read linearly: {found}",
-        _reads_grids_smoothly,
-        Weight.REPLACED,
-        "set Interpolation to Linear in the volume settings of the material",
     ),
     Row(
         "shadow caustics of Cycles are not supported: the light of these comes through glass by whole paths alone: "

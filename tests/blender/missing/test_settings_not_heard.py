@@ -1,6 +1,5 @@
 """Settings that change the picture in Cycles, and not here, are named with what they are set at."""
 
-import numpy as np
 import pytest
 
 bpy = pytest.importorskip("bpy")
@@ -157,35 +156,6 @@ def test_what_is_not_heard_is_named(scene, change, words, weight, objects, mater
 def test_what_changes_nothing_in_cycles_is_not_named(scene, change, words):
     change(scene)
     assert found(words) == []
-
-
-@pytest.fixture
-def smoke(scene, tmp_path):
-    """A volume object of a file with a velocity grid, which a material shows."""
-    bpy.utils.expose_bundled_modules()
-    openvdb = pytest.importorskip("openvdb")
-    grids = [openvdb.FloatGrid(), openvdb.Vec3SGrid()]
-    for grid, name, width in zip(grids, ("density", "velocity"), ((), (3,)), strict=True):
-        grid.name = name
-        grid.copyFromArray(np.ones((4, 4, 4, *width), np.float32))
-    openvdb.write(str(tmp_path / "smoke.vdb"), grids=grids)
-    volume = bpy.data.volumes.new("Smoke")
-    volume.filepath = str(tmp_path / "smoke.vdb")
-    obj = bpy.data.objects.new("Smoke", volume)
-    scene.collection.objects.link(obj)
-    material = bpy.data.materials.new("Smoke")
-    volume.materials.append(material)
-    tree, surface = node_tree(material)
-    tree.links.new(tree.nodes.new("ShaderNodeVolumePrincipled").outputs[0], surface.node.inputs["Volume"])
-    return obj
-
-
-def test_cubic_interpolation_of_grids_is_named(smoke):
-    assert found("Cubic") == []
-    smoke.data.materials[0].cycles.volume_interpolation = "CUBIC"
-    add_grid("Other", 1).data.materials.append(smoke.data.materials[0])  # has no grids
-    (notice,) = found("Cubic")
-    assert notice.weight == REPLACED and notice.objects == ("Smoke",)
 
 
 @pytest.mark.parametrize("emitter", ["lamp", "mesh"])

@@ -66,7 +66,8 @@ def test_beside_a_volume_that_varies(session):
 
 def test_ops_that_read_no_more_than_the_object_are_uniform():
     assert is_uniform(("object_info", "object_location", "object_attribute", "math", "color_ramp", "noise_3d"))
-    for name in ("position", "object_coordinates", "generated", "volume_attribute", "light_path", "attribute"):
+    read = ("position", "object_coordinates", "generated", "volume_attribute", "volume_attribute_cubic", "light_path")
+    for name in (*read, "attribute"):
         assert not is_uniform(("math", name)), name
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import warp as wp
 
+from ...programs.ops.inputs.grids import GRID_OPS
 from ...scene.features import SceneFeatures, narrow
 from .cross import cross_kernel, enter_kernel
 from .emission.estimate import inside_kernel
@@ -40,7 +41,7 @@ class VolumeKernels:
             return None
         needs = narrow(shading, VolumeFeatures)
         varies = may_vary(features.volume_program)
-        reads = "volume_attribute" in features.volume_program.ops
+        reads = not set(GRID_OPS).isdisjoint(features.volume_program.ops)
         return VolumeKernels(
             enter=enter_kernel,
             scatter=volume_kernel(needs, out_of_line),

@@ -202,7 +202,7 @@ def test_smoke_has_its_grids_in_the_box_of_its_domain(scene, tmp_path):
         heat_grid=_Stored(np.zeros(24, np.float32)),
     )
     modifier = SimpleNamespace(type="FLUID", fluid_type="DOMAIN", domain_settings=domain)
-    obj = SimpleNamespace(name="Smoke", type="MESH", data=mesh, modifiers=[modifier])
+    obj = SimpleNamespace(name="Smoke", type="MESH", data=mesh, modifiers=[modifier], material_slots=[])
     warnings = []
     assert any_grids([obj])
     made = export_volume(obj, ["density", "color", "heat"], 1, warnings)
@@ -288,3 +288,23 @@ def test_voxels_that_are_no_numbers_become_0_and_are_counted(scene, tmp_path, ki
     assert found.values.sum() == 61 and len(warnings) == 1
     assert "“density”" in warnings[0] and "3 numbers" in warnings[0]
     assert warnings[0].weight == Weight.REPAIRED and warnings[0].objects[0].startswith("Smoke")
+
+
+def test_grids_that_a_material_reads_by_splines(scene, grid_file):
+    """The box goes on by one voxel more, and coordinates span the same."""
+    obj = _volume(grid_file[0])
+    material = material_of(obj, "Smoke")
+    tree, surface = node_tree(material)
+    tree.links.new(tree.nodes.new("ShaderNodeVolumePrincipled").outputs[0], surface.node.inputs["Volume"])
+    found = {}
+    for kind in ("LINEAR", "CUBIC"):
+        material.cycles.volume_interpolation = kind
+        made = exported()
+        ops = {step.op for each in made.materials if each.volume for step in each.volume.program.instructions}
+        found[kind] = made.meshes[0], ops & {"volume_attribute", "volume_attribute_cubic"}
+    (linear, first), (smooth, second) = found["LINEAR"], found["CUBIC"]
+    assert first == {"volume_attribute"} and second == {"volume_attribute_cubic"}
+    assert smooth.texture_space == linear.texture_space
+    for side in (np.min, np.max):
+        reach = np.abs(side(smooth.positions, 0) - side(linear.positions, 0))
+        np.testing.assert_allclose(reach, (0.5, 0.25, 1.0), rtol=1e-5)

@@ -1,4 +1,4 @@
-"""Volumes whose grids move while the shutter is open, by grids of velocities."""
+"""Grids of volumes: those that move while the shutter is open, by grids of velocities, and those read by splines."""
 
 import os
 import tempfile
@@ -87,3 +87,11 @@ def by_three_grids(scene: bpy.types.Scene) -> None:
     obj.data.velocity_grid, obj.data.velocity_unit, obj.data.velocity_scale = "v", "FRAME", 1.5
     keyed(obj, "location", (-0.3, 0, 0.9), (0.3, 0, 1.3))
     scene.frame_set(10)
+
+
+@feature("OpenVDB object: cubic interpolation", "Volumes", "picture", quick=True, samples=64)
+def by_splines(scene: bpy.types.Scene) -> None:
+    """Few large voxels."""
+    obj = _smoke(scene, np.zeros((*_SHAPE, 3)), split=False, position="CENTER", length=0.5)
+    obj.scale, obj.data.materials[0].cycles.volume_interpolation = (2.5, 2.5, 2.5), "CUBIC"
+    scene.render.use_motion_blur = False
