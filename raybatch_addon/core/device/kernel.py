@@ -10,10 +10,15 @@ import warp as wp
 from ..errors import SettingsError
 from .declared import shared_module, unique_options
 
+# The way in which Warp is made to write code (`codegen/`), by number: it is part of the flags, and so of the names by
+# which compiled kernels are kept, so that none is found that was written in another way
+CODE_VERSION = 1
+
 
 def _cpu_flags(inline_threshold: int) -> str:
     """Flags of Clang, which inlines what it finds to cost no more than the threshold."""
-    return f"-march=native -mllvm=-inline-threshold={inline_threshold} -Wno-constant-conversion"
+    code = f"-DRAYBATCH_CODE={CODE_VERSION}"
+    return f"-march=native -mllvm=-inline-threshold={inline_threshold} -Wno-constant-conversion {code}"
 
 
 # Fused multiply-adds and fast math would make results depend on the compiler's choices, and adjoints
