@@ -13,7 +13,7 @@ import numpy as np
 
 # the archive finds all classes here
 from .cameras import Camera, CameraKind, Frame, Panorama, Shutter, SphericalStereo  # noqa: F401
-from .program import Instruction, Program, ProgramFeatures  # noqa: F401
+from .program import Image, ImageEncoding, Instruction, Program, ProgramFeatures  # noqa: F401
 
 _STORED_NAME = "stored_name"  # metadata of a field that is called otherwise in files
 
@@ -327,29 +327,6 @@ class Light:
     shadow_sets: int = ALL_SHADOW_SETS  # bits of the shadow sets that block its light
     light_group: int = -1  # index into `Scene.light_groups`; -1: no group
     bounce_max: int | None = None  # most bounces of paths from which it is aimed at; None: all
-
-
-class ImageEncoding(IntEnum):
-    """Meaning of an image's numbers."""
-
-    LINEAR = 0  # linear RGB, or data that are no colour
-    SRGB = 1  # the sRGB transfer function; decoded after interpolation, as Blender does
-
-
-@dataclass(frozen=True)
-class Image:
-    """A picture that textures read.
-
-    The bottom row comes first; alpha, where there is any, has been multiplied into the colours. With tiles (UDIM) it is
-    many pictures: tile 1001 + 10 v + u covers texture coordinates u..u + 1, v..v + 1. A picture without pixels counts
-    as missing, and so does a tile that is not there: magenta.
-    """
-
-    name: str
-    # uint8 (255 is 1), float16 or float32, shape [height, width, channels] with 1 (grey), 3 (RGB) or 4 (RGBA) channels
-    pixels: np.ndarray | None = None
-    encoding: ImageEncoding = ImageEncoding.LINEAR
-    tiles: tuple[tuple[int, np.ndarray | None], ...] | None = None  # tile number and its pixels, instead of `pixels`
 
 
 @dataclass(frozen=True)

@@ -8,15 +8,23 @@ do, while general kernels render. Each kernel is specialised on the few of these
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from ..settings.settings import RenderSettings
-from .description import SCATTERED_RAYS, CameraKind, ClosureKind, LightKind, Scene, Visibility, Volume
-from .linking import RAY_BITS, catchers, lifts_shadow_rays, limits_bounces, links_lights, links_shadows
+from .description import CameraKind, ClosureKind, LightKind, Scene, Visibility, Volume
+from .linking import (
+    RAY_BITS,
+    can_be_met,
+    catchers,
+    lifts_shadow_rays,
+    light_rays,
+    limits_bounces,
+    links_lights,
+    links_shadows,
+)
 from .motion import apart
 from .passes import (
     COST_PASSES,
@@ -377,25 +385,6 @@ def needs_instancing(scene: Scene) -> bool:
     shared = bool(np.any(filled & (counts > 1)))
     seen = instances.visibility[filled[instances.mesh]] & RAY_BITS
     return shared or bool(apart(scene).any()) or bool(np.any(seen != int(Visibility.ALL)))
-
-
-def light_rays(volumes: Collection[Volume]) -> int:
-    """The kinds of scattered rays in a scene with these `volumes`: what none of them sees lights nothing."""
-    return SCATTERED_RAYS | int(Visibility.VOLUME_SCATTER) if volumes else SCATTERED_RAYS
-
-
-def can_be_met(light) -> bool:
-    """Whether rays other than those that are aimed at `light` may meet it."""
-    rays = int(Visibility.ALL & ~Visibility.SHADOW)
-    if not light.visibility & rays:
-        return False
-    if light.kind in (LightKind.POINT, LightKind.SPOT):
-        return light.radius > 0
-    if light.kind == LightKind.SUN:
-        return light.angle > 0
-    if light.kind in (LightKind.RECTANGLE, LightKind.ELLIPSE):
-        return light.size[0] > 0 and light.size[1] > 0
-    raise ValueError(f"there is no rule for whether rays meet lights of kind {light.kind!r}: add one here")
 
 
 def narrow(features: object, kind: type[T]) -> T:

@@ -4,6 +4,8 @@ vertices of paths alone, objects that block some light alone, catchers.
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 
 from .description import (
@@ -11,9 +13,13 @@ from .description import (
     ALL_SHADOW_SETS,
     CATCHER_RAYS,
     CATCHER_SHIFT,
+    SCATTERED_RAYS,
     SHADOW_SET_SHIFT,
+    Light,
+    LightKind,
     Scene,
     Visibility,
+    Volume,
 )
 
 # Bits of visibilities that rays may have
@@ -68,3 +74,22 @@ def catcher_bits(visibility: int) -> int:
 def shadow_bit(shadow_set: int) -> int:
     """The bit of a visibility that says that an instance is of this shadow set."""
     return 1 << (SHADOW_SET_SHIFT + shadow_set)
+
+
+def light_rays(volumes: Collection[Volume]) -> int:
+    """The kinds of scattered rays in a scene with these `volumes`: what none of them sees lights nothing."""
+    return SCATTERED_RAYS | int(Visibility.VOLUME_SCATTER) if volumes else SCATTERED_RAYS
+
+
+def can_be_met(light: Light) -> bool:
+    """Whether rays other than those that are aimed at `light` may meet it."""
+    rays = int(Visibility.ALL & ~Visibility.SHADOW)
+    if not light.visibility & rays:
+        return False
+    if light.kind in (LightKind.POINT, LightKind.SPOT):
+        return light.radius > 0
+    if light.kind == LightKind.SUN:
+        return light.angle > 0
+    if light.kind in (LightKind.RECTANGLE, LightKind.ELLIPSE):
+        return light.size[0] > 0 and light.size[1] > 0
+    raise ValueError(f"there is no rule for whether rays meet lights of kind {light.kind!r}: add one here")

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from enum import IntEnum
 
 import numpy as np
 
@@ -87,3 +88,26 @@ def rounded_registers(count: int) -> int:
 
 def _rounded_up(count: int, least: int) -> int:
     return max(least, 1 << max(count - 1, 0).bit_length())
+
+
+class ImageEncoding(IntEnum):
+    """Meaning of an image's numbers."""
+
+    LINEAR = 0  # linear RGB, or data that are no colour
+    SRGB = 1  # the sRGB transfer function; decoded after interpolation, as Blender does
+
+
+@dataclass(frozen=True)
+class Image:
+    """A picture that textures read.
+
+    The bottom row comes first; alpha, where there is any, has been multiplied into the colours. With tiles (UDIM) it is
+    many pictures: tile 1001 + 10 v + u covers texture coordinates u..u + 1, v..v + 1. A picture without pixels counts
+    as missing, and so does a tile that is not there: magenta.
+    """
+
+    name: str
+    # uint8 (255 is 1), float16 or float32, shape [height, width, channels] with 1 (grey), 3 (RGB) or 4 (RGBA) channels
+    pixels: np.ndarray | None = None
+    encoding: ImageEncoding = ImageEncoding.LINEAR
+    tiles: tuple[tuple[int, np.ndarray | None], ...] | None = None  # tile number and its pixels, instead of `pixels`

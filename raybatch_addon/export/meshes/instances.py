@@ -53,9 +53,7 @@ def _named(names: list[str]) -> str:
 def collect_placements(
     depsgraph: bpy.types.Depsgraph, cancelled: Callable[[], bool], moving: bool = False, blur: Exposure | None = None
 ) -> Placements:
-    """One pass over `depsgraph`; `moving`: with what finds things again at other times. Grids move in the time `blur`.
-    Raises `Cancelled`.
-    """
+    """One pass; `moving`: with what finds things again at other times; grids move in `blur`. Raises `Cancelled`."""
     with known_meshes(depsgraph, moving) as known:
         collector = PlacementCollector(depsgraph, moving, known)
         collector.blur = blur

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...core.scene.description import ALL_SHADOW_SETS, SHADOW_SETS, ClosureKind, Material, Scene, Visibility
-from ...core.scene.features import can_be_met
+from ...core.scene.linking import can_be_met
 from ...core.scene.notice import Notice, quoted
 from ...core.shading.bsdf.ggx import ALPHA_MIN
 from ...core.shading.bsdf.materials import MICROFACET_KINDS

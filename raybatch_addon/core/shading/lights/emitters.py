@@ -16,8 +16,9 @@ import numpy as np
 from ...device.bulk import in_slices
 from ...errors import SceneError
 from ...scene.description import ClosureKind, Light, LightKind, Material, Scene
-from ...scene.features import light_rays, scene_volumes
+from ...scene.features import scene_volumes
 from ...scene.frozen import fact, freeze
+from ...scene.linking import light_rays
 from ...scene.motion import apart
 from ...scene.validate import box_of
 
