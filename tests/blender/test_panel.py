@@ -163,11 +163,13 @@ def test_the_other_panels_draw_what_exists(scene):
     context = context_of(
         scene, object=obj, light=light, camera=camera, world=bpy.data.worlds.new("World"), material=material
     )
+    of_mesh = context_of(scene, object=bpy.data.objects.new("Mesh", bpy.data.meshes.new("Mesh")))
     drawn_properties = {}
     for panel in own_panels():
         if panel.bl_context != "render":
-            assert panel.poll(context)
-            drawn_properties[panel.__name__] = [note[2] for note in drawn(panel, context)]
+            its_context = of_mesh if panel.__name__ == "RAYBATCH_OBJECT_PT_shadow_terminator" else context
+            assert panel.poll(its_context)
+            drawn_properties[panel.__name__] = [note[2] for note in drawn(panel, its_context)]
     assert {"use_pass_normal", "use_pass_node_steps"} <= set(drawn_properties["RAYBATCH_VIEWLAYER_PT_passes"])
     assert "visible_glossy" in drawn_properties["RAYBATCH_OBJECT_PT_ray_visibility"]
     assert {"use_strand", "use_volumes"} <= set(drawn_properties["RAYBATCH_VIEWLAYER_PT_filter"])

@@ -9,9 +9,20 @@ import numpy as np
 from raybatch_addon.core.programs import ops  # noqa: F401  (registers ops)
 from raybatch_addon.core.programs.builder import ProgramBuilder
 from raybatch_addon.core.programs.ops.textures.image import Projection
-from raybatch_addon.core.scene.description import ClosureKind, Frame, Image, ImageEncoding, Material, Scene
+from raybatch_addon.core.scene.description import (
+    ClosureKind,
+    Frame,
+    Grid,
+    Image,
+    ImageEncoding,
+    Material,
+    Scene,
+    Volume,
+)
+from raybatch_addon.core.scene.frozen import freeze
 from raybatch_addon.core.shading.images.textures import Extension, Interpolation
 from raybatch_addon.core.wavefront.tier import GENERAL_CLOSURES_MOST
+from tests.stability.volume_scenes import boxed
 from tests.support.feature_scenes import furry, lit, shiny
 
 
@@ -61,6 +72,16 @@ def many_registers() -> Material:
     return dataclasses.replace(material, program=dataclasses.replace(builder.finish(), register_count=65))
 
 
+def smooth_grid() -> Scene:
+    """A volume whose grid is read by splines."""
+    builder = ProgramBuilder()
+    builder.closure("volume_absorption", builder.value("volume_attribute_cubic", 0, 0.0)[0])
+    scene = boxed(Volume(program=builder.finish()))
+    grid = Grid("density", freeze(np.ones((2, 2, 2), np.float32)), np.eye(3, 4))
+    mesh = dataclasses.replace(scene.meshes[0], grids=(grid,))
+    return dataclasses.replace(scene, meshes=(mesh, *scene.meshes[1:]), attributes=(("GRID", "density"),))
+
+
 # Scene and changes of `feature_scenes.SETTINGS`, by the name in docs/architecture.md of what general kernels lack
 SPECIALISED = {
     "`mis` OFF": (lit(), {"mis": "OFF"}),
@@ -71,6 +92,7 @@ SPECIALISED = {
     "Huang's hair": (furry(faceted_hair()), {}),
     "graphs of more than 64 registers": (lit(many_registers()), {}),
     "materials of more than 16 closures": (lit(many_closures()), {}),
+    "cubic interpolation of volumes": (smooth_grid(), {}),
 }
 # The scene in `ALL_FEATURES`, by the name of what only those for a GPU lack
 SPECIALISED_ON_A_GPU = {

@@ -167,8 +167,9 @@ def images_of(scene: Scene, programs: Iterable[Program | None]) -> tuple[Image, 
     found = []
     for program in programs:
         for step in program.instructions if program else ():
-            found += [word for letter, word in zip(op_named(step.op).inputs, step.words) if letter == "m" and word >= 0]
-    return tuple(scene.images[index] for index in dict.fromkeys(found))
+            found += [word for letter, word in zip(op_named(step.op).inputs, step.words) if letter == "m"]
+    # what is none of them is shown as a missing one
+    return tuple(scene.images[index] for index in dict.fromkeys(found) if 0 <= index < len(scene.images))
 
 
 def pictures_of(image: Image) -> list[np.ndarray | None]:
