@@ -114,7 +114,11 @@ def argument_parser() -> argparse.ArgumentParser:
         help="do not render what would lack something, and end with exit code 3: if a part is missing, if something\n"
         "else stands in for it (--strict alone), or if a setting of Cycles is not heard either",
     )
-    add("--device", metavar="DEVICE", help="AUTO, cpu or cuda:N; the same as --set device=DEVICE")
+    add(
+        "--device",
+        metavar="DEVICE",
+        help="AUTO, cpu, cuda:N, several with commas between, or ALL; the same as --set device=DEVICE",
+    )
     add(
         "--json",
         metavar="FILE",

@@ -49,6 +49,7 @@ ROOMS = (
     "core/checkpoint",
     "core/ahead",
     "core/job.py",
+    "core/session_device.py",
     "core/session.py",
     "core/tuning.py",
     "core/live",

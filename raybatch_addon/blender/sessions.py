@@ -1,4 +1,4 @@
-"""The sessions of this Blender, one a device: they hold the caches that outlive an engine object."""
+"""The sessions of this Blender, one for each choice of devices: they hold the caches that outlive an engine object."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 import bpy
 
-from ..core.device.devices import find_device, start_warp
+from ..core.device.devices import find_devices, start_warp
 from ..core.live.picture import LiveRequest
 from ..core.session import Session
 from ..core.settings.settings import RenderSettings
@@ -118,11 +118,11 @@ def _give_back() -> None:
 
 
 def _session_of(settings: RenderSettings, use: str = "") -> Session:
-    """The session of the device for a `use` of its own, for who was lent it."""
+    """The session of the devices for a `use` of its own, for who was lent it."""
     start_warp(kernel_cache_folder())
-    alias = find_device(settings.device).alias
-    name = use + alias
+    names = ",".join(each.alias for each in find_devices(settings.device))
+    name = use + names
     if name not in _sessions:
         # a window stays when a picture is there; without one, Blender ends or goes on to the next frame
-        _sessions[name] = Session(alias, settings, compile_between_renders=not bpy.app.background)
+        _sessions[name] = Session(names, settings, compile_between_renders=not bpy.app.background)
     return _sessions[name]

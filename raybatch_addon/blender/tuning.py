@@ -112,5 +112,8 @@ def _other_devices(settings: RenderSettings) -> list[str]:
     """Devices that would not render now: an empty list where they are not known yet."""
     known = [each.name for each in device_choices() or () if each.name != "AUTO"]
     cuda = [name for name in known if name != "cpu"]
-    now = settings.device.lower() if settings.device.upper() != "AUTO" else (cuda or ["cpu"])[0]
-    return [name for name in known if name != now]
+    named = settings.device.lower().split(",")
+    if named == ["all"]:
+        return ["cpu"] if cuda else []
+    now = {each.strip() for each in named} if named != ["auto"] else {(cuda or ["cpu"])[0]}
+    return [name for name in known if name not in now]

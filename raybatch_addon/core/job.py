@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,6 +11,7 @@ import warp as wp
 
 from .ahead.change import TierChange
 from .ahead.request import CompileRequest
+from .bvh.memory import GeometrySize
 from .checkpoint.checkpoint import Checkpoint
 from .device.devices import memory_used, worker_count
 from .film import Film
@@ -26,7 +27,8 @@ from .settings.settings import RenderSettings
 from .wavefront.adaptive.ranges import first_active
 from .wavefront.integrator import TileIntegrator
 from .wavefront.plan.plan import Choice, Method, TracingPlan, report_of
-from .wavefront.render.rendering import Rendering, SnapshotWatcher
+from .wavefront.render.events import SnapshotWatcher
+from .wavefront.render.rendering import Rendering
 from .wavefront.render.resume import ResumeState
 from .wavefront.render.rounds import RoundPolicy
 from .wavefront.render.steps import TileSteps
@@ -38,11 +40,12 @@ from .wavefront.tier import TierChoice
 
 @dataclass(kw_only=True)
 class Job:
-    """The request of one call of `render`."""
+    """The request of one call of `render`; of a device beside the first with its own plan."""
 
     scene: Scene
     settings: RenderSettings
     features: SceneFeatures
+    size: GeometrySize
     tier: TierChoice
     plan: TracingPlan
     sample_first: int
@@ -66,11 +69,13 @@ class Job:
             if tile.sample_count:
                 self.on_tile(Tile(tile.x, tile.y, tile.width, tile.height, tile.passes))
 
-    def begin(self, film: Film, after: Film | None, device: wp.Device) -> ResumeState:
-        """The state of a render that begins, or that goes on with what `film` has; `film` loses it meanwhile."""
+    def begin(self, film: Film, after: Film | None, devices: Sequence[wp.Device]) -> ResumeState:
+        """The state of a render on `devices` that begins, or that goes on with what `film` has; `film` loses it
+        meanwhile.
+        """
         state, film.resume_state = film.resume_state, None
         if state is None:
-            state = self._all_tiles(after, device)
+            state = self._all_tiles(after, devices)
         else:
             state.policy = state.policy.resumed(self.settings, self.marks)
             if state.policy.is_cut and not state.shorten_round() and self.settings.time_limit:
@@ -79,12 +84,14 @@ class Job:
             self.settings = self.settings.replace(sample_order=state.sample_order)
         return state
 
-    def _all_tiles(self, after: Film | None, device: wp.Device) -> ResumeState:
+    def _all_tiles(self, after: Film | None, devices: Sequence[wp.Device]) -> ResumeState:
         """The state of a render that begins."""
+        device = devices[0]
         settings, policy = self.settings, RoundPolicy.of(self.settings, self.marks, self.sample_first)
         active = first_active(self.scene.frame, settings, self.sample_first, after, device)
         x0, y0, x1, y1 = self.scene.frame.region
-        workers, paged = worker_count(device, settings.thread_count), self.plan.method is Method.PAGED
+        workers = sum(worker_count(each, settings.thread_count) for each in devices)
+        paged = self.plan.method is Method.PAGED
         choose_edge = step_tile_edge if self.steps else round_tile_edge if policy.is_cut else tile_edge
         edge = choose_edge(settings, device.is_cuda, x1 - x0, y1 - y0, workers, paged)
         if not settings.tile_size:
@@ -99,11 +106,13 @@ class Job:
         film: Film,
         state: ResumeState,
         integrators: list[TileIntegrator],
-        modules: list[str],
+        modules: Iterable[str],
         device_scene: DeviceScene | None,
-        device: wp.Device,
+        devices: Sequence[wp.Device],
     ) -> dict[str, Any]:
-        """The report of the render, which is over (`docs/statistics.md`); times in seconds, memory in bytes."""
+        """The report of the render on `devices`, which is over (`docs/statistics.md`); times in seconds, memory in
+        bytes. `device_scene`: the scene on the first of them.
+        """
         self.warnings += self.rendering.warnings if self.rendering else []
         invalid = state.invalid_samples
         if invalid:
@@ -113,7 +122,7 @@ class Job:
         rays, in_volumes = ray_totals(integrators), volume_counts(integrators)
         self.warnings += in_volumes.warnings(rays["camera"]) if in_volumes else []
         return render_statistics(
-            device=device,
+            devices=devices,
             settings=self.settings,
             features=self.features,
             frame={"width": film.width, "height": film.height, "region": [*film.region], "passes": [*film.pass_names]},
@@ -131,7 +140,7 @@ class Job:
                 "images": image_statistics(self.scene, device_scene.images if device_scene else None),
                 "invalid_samples": invalid,
                 "volumes": in_volumes and in_volumes.report(),
-                "modules": modules,
+                "modules": sorted(set(modules)),
                 "warnings": self.warnings,
                 "checkpoint": self.checkpoint and self.checkpoint.statistics,
                 "missing": [described(notice) for notice in by_weight(self.scene.warnings)],
@@ -142,6 +151,11 @@ class Job:
     def request(self) -> CompileRequest:
         """The kernels of the render."""
         return CompileRequest(self.features, self.settings, self.plan, self.tier.shading)
+
+    @property
+    def path_total(self) -> int:
+        """Paths of the whole render at most."""
+        return self.settings.sample_count * self.scene.frame.pixel_count
 
     @property
     def marks(self) -> list[int]:
@@ -179,15 +193,15 @@ class Job:
 def progress_of(
     parts: Parts,
     settings: RenderSettings,
-    device: wp.Device,
+    devices: Sequence[wp.Device],
     stage: str,
     *,
     fraction: float = 0.0,
     message: str = "",
     **rates: Any,
 ) -> Progress:
-    """How far a render on `device` has come; `rates`: what else is known (`Progress`)."""
-    memory, peak = memory_used(device)
+    """How far a render on `devices` has come; `rates`: what else is known (`Progress`)."""
+    memory, peak = map(sum, zip(*map(memory_used, devices), strict=True))
     unknown = {"samples_done": 0.0, "rays_per_second": 0.0, "seconds_left": None}
     return Progress(
         stage=stage,

@@ -2,28 +2,26 @@
 
 from __future__ import annotations
 
-import functools
+import threading
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, wait
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import warp as wp
 
-from .ahead.aside import WaitedParts, begin_aside, end_of, is_awaited, once_free
-from .ahead.change import TierChange, TierChanges
-from .ahead.prepare import Preparation
+from .ahead.aside import is_awaited
+from .ahead.change import TierChange
 from .ahead.request import CompileRequest, kernels_ahead
-from .bvh.build.scene_tree import layout_for
 from .bvh.memory import GeometrySize
+from .bvh.node import Layout
 from .checkpoint.checkpoint import Checkpoint
-from .device.compiler import CompileStoppedError
-from .device.devices import find_device, free_memory, load_kernels, start_warp, warp_cache_folder
-from .device.failures import names_failures
+from .device.devices import find_devices, is_alike, load_kernels, start_warp, warp_cache_folder
+from .device.failures import named_failures, names_failures
 from .displacement.displaced import is_displaced
 from .film import Film
-from .film.tile import FinishedTile, add_integers_kernel
+from .film.tile import FinishedTile
 from .job import Job, progress_of
 from .measure.hardware import hardware_counters
 from .measure.parts import Parts
@@ -32,23 +30,24 @@ from .programs.requests import prepared_scene
 from .scene.description import Scene
 from .scene.features import SceneFeatures, derive_features
 from .scene.validate import checked_scene
+from .session_device import Place, SessionDevice
 from .settings.settings import RenderSettings
 from .wavefront.adaptive.ranges import check_after, chosen_looks, pixels_can_end
-from .wavefront.estimates.displacement import mover
-from .wavefront.integrator import TileIntegrator
-from .wavefront.plan.plan import Choice, Memory, plan_tracing
-from .wavefront.render.rendering import RenderEvents, Rendering, snapshot_watchers
+from .wavefront.plan.plan import Choice
+from .wavefront.render.events import RenderEvents, snapshot_watchers
+from .wavefront.render.rendering import Rendering
 from .wavefront.render.resume import ResumeState, check_samples, film_to_fill
-from .wavefront.render.workers import WorkersFor
-from .wavefront.scene.device_scene import DeviceScene
-from .wavefront.scene.geometry_request import GeometryRequest
-from .wavefront.scene.kept_scene import KeptScene, asked_of
-from .wavefront.scene.scene_cache import SceneCache
+from .wavefront.scene.kept_scene import scene_key
 from .wavefront.tier import choose_tier
+
+# Fewer paths are not shared: one device has rendered them before the others are ready [paths]
+SHARED_PATHS_LEAST = 1 << 24
 
 
 class Session:
-    """A device with its caches. One render at a time; make one session a device and keep it."""
+    """A device with its caches, or several that share each render. One render at a time; make one session a device and
+    keep it.
+    """
 
     def __init__(
         self,
@@ -58,7 +57,8 @@ class Session:
         page_folder: str | Path | None = None,
         compile_between_renders: bool = False,
     ):
-        """Open `device` (AUTO, cpu or cuda:N; default: that of `settings`); raises `DeviceError`.
+        """Open `device` (AUTO, cpu, cuda:N, several of these with commas between, or ALL; default: that of `settings`);
+        raises `DeviceError`.
 
         Compiled kernels are cached in `cache_folder` (default: Warp's own folder in the user's cache), and geometry
         beyond memory in `page_folder` (default: a folder beside them), where the setting `geometry_store` is DISK.
@@ -68,20 +68,29 @@ class Session:
         self.settings = settings or RenderSettings()
         start_warp(cache_folder)
         self._page_folder = Path(page_folder) if page_folder else warp_cache_folder() / "pages"
-        self.device = find_device(device or self.settings.device)
-        self.layout = layout_for(self.device)  # of trees
-        self._kept = KeptScene()
-        self._cache = SceneCache(lambda: self._kept.device_bytes)
-        self._tier_changes = TierChanges(self.device, compile_between_renders)
-        self._building: Future | None = None  # the end of the last build
+        self._at = [
+            SessionDevice(each, compile_between_renders) for each in find_devices(device or self.settings.device)
+        ]
+
+    @property
+    def devices(self) -> list[wp.Device]:
+        """Those that render, as they were named."""
+        return [each.device for each in self._at]
+
+    @property
+    def device(self) -> wp.Device:
+        """The first of them, which does what is not shared."""
+        return self._at[0].device
+
+    @property
+    def layout(self) -> Layout:
+        """The layout of its trees."""
+        return self._at[0].layout
 
     def close(self) -> None:
         """Give back what is cached, and end what still compiles; a session that renders again begins anew."""
-        self._tier_changes.close()
-        if self._building:
-            wait([self._building])  # what a cancelled render left behind reads and fills the caches
-        self._kept.clear()
-        self._cache.clear()
+        for each in self._at:
+            each.close()
 
     def prewarm(
         self, features: Sequence[SceneFeatures] | None = None, on_progress: Callable[[int, int], None] | None = None
@@ -90,8 +99,11 @@ class Session:
 
         Default: what any scene can begin with: the general kernels, trees, and tracing, as `GeneralRequest` has it.
         """
-        kernels = kernels_ahead(features, self.settings, self.device)
-        return load_kernels(kernels, self.device, on_progress or (lambda *_: None))
+        names: set[str] = set()
+        for device in self.devices:
+            kernels = kernels_ahead(features, self.settings, device)
+            names.update(load_kernels(kernels, device, on_progress or (lambda *_: None)))
+        return sorted(names)
 
     @names_failures
     def render(
@@ -131,8 +143,10 @@ class Session:
             RayBatchError: what the user can mend; the message says how.
         """
         check_after(settings or self.settings, sample_first, resume, after)
-        self._tier_changes.open()
-        self._kept.begin(scene)
+        key = scene_key(scene)
+        for each in self._at:
+            each.tier_changes.open()
+            each.kept.begin(key)
         job = self._job(
             scene,
             settings or self.settings,
@@ -151,30 +165,13 @@ class Session:
         film = film_to_fill(job.scene.frame, job.settings, job.sample_first, resume, self.device)
         if checkpoint:
             job.show(film)
-        state = job.begin(film, after, self.device)
+        sharing = self._at if job.path_total >= SHARED_PATHS_LEAST else self._at[:1]
+        state = job.begin(film, after, [each.device for each in sharing])
         if job.settings.kernel_tier == "AUTO":
             job.chosen["kernel_tier"] = Choice("GENERAL" if job.tier.general else "SPECIALISED", job.tier.why)
-        device_scene, modules = self._prepare(job)
-        integrators: list[TileIntegrator] = []
-        if device_scene is not None:
-            job.warnings += device_scene.images.warnings
-            job.warnings += device_scene.volumes.warnings if device_scene.volumes else []
-            if device_scene.paged and "page_file_warning" in device_scene.paged.statistics:
-                job.warnings.append(device_scene.paged.statistics["page_file_warning"])
-            job.parts.enter("paths")
-            workers = WorkersFor(self._kept, device_scene, job.scene.frame, job.settings)
-            integrators = self._workers(job, workers, state)
-            counting = device_scene.tracing.counters(job.settings, job.features.passes)
-            if counting:
-                job.warnings += counting.warnings()
-            if any(each.is_counting for each in integrators):
-                with hardware_counters(self.device.is_cuda) as counters:
-                    self._run(job, integrators, state, film)
-                job.hardware = counters.report()
-            else:
-                self._run(job, integrators, state, film)
-            if state.policy.stopped_by is not None and state.drained:
-                workers.keep()
+        places = self._prepare(job, sharing)
+        if places:
+            self._render(job, places, state, film)
         if checkpoint:
             job.parts.enter("checkpoint")
             checkpoint.end(state)
@@ -184,7 +181,11 @@ class Session:
         film.complete = state.policy.stopped_by is not None
         if not film.complete and state.drained:
             film.resume_state = state
-        film.statistics = job.statistics(film, state, integrators, modules, device_scene, self.device)
+        modules = [module for place in places for module in place.modules]
+        integrators = [each for place in places for each in place.integrators]
+        scene_there = places[0].scene if places else None
+        devices = [each.device for each in sharing]
+        film.statistics = job.statistics(film, state, integrators, modules, scene_there, devices)
         job.rendering = None  # it leads back to the job: the film would stay until somebody looks for cycles
         return film
 
@@ -203,22 +204,24 @@ class Session:
         observers: Sequence[RenderObserver],
     ) -> Job:
         parts.enter("check")
-        whole = scene if self._kept.is_sound else checked_scene(scene)
-        self._kept.is_sound = self._kept.is_known and whole is scene
-        displaced = self._displaced(whole, settings, parts, on_progress, cancelled)
+        first = self._at[0]
+        whole = scene if first.kept.is_sound else checked_scene(scene)
+        first.kept.is_sound = first.kept.is_known and whole is scene
+        displaced: Scene | None = whole
+        if not is_displaced(whole):
+            displaced = first.moved(whole, settings)
+        else:
+            displaced = first.displaced(whole, settings, parts, on_progress, cancelled)
         parts.enter("check")
         was_cancelled = displaced is None
         checked = prepared_scene(whole if displaced is None else displaced, settings)
         check_samples(settings, sample_first)
-        derived = self._kept.derived if not was_cancelled else lambda _name, _settings, make: make()
+        derived = first.kept.derived if not was_cancelled else lambda _name, _settings, make: make()
         size = derived("size", settings, lambda: GeometrySize.of(checked))
-        free = self._cache.free_for_geometry(checked.images, self.device)
-        memory = Memory(size.needed(self.layout, self.device), free, free_memory(wp.get_device("cpu")))
-        samples = settings.sample_count * checked.frame.pixel_count
         features = derived("features", settings, lambda: derive_features(checked, settings))
         features = replace(features, adaptive=pixels_can_end(settings, sample_first))
-        plan = plan_tracing(settings, size, self.layout, self.device.is_cuda, memory, samples, features.moving)
-        warnings = [*checked.warnings, *plan.complaints]
+        plan = first.plan(checked, settings, size, features)
+        warnings = [*checked.warnings, *plan.complaints, *self._unlike()]
         tier = choose_tier(features, settings.kernel_tier, self.device)
         if tier.complaint:
             warnings.append(f"kernels are specialised on the scene, not GENERAL: {tier.complaint}")
@@ -226,6 +229,7 @@ class Session:
             scene=checked,
             settings=settings,
             features=features,
+            size=size,
             tier=tier,
             plan=plan,
             sample_first=sample_first,
@@ -238,81 +242,93 @@ class Session:
             chosen=chosen_looks(settings),
         )
 
-    def _displaced(
-        self,
-        scene: Scene,
-        settings: RenderSettings,
-        parts: Parts,
-        on_progress: Callable[[Progress], None],
-        cancelled: Callable[[], bool],
-    ) -> Scene | None:
-        """`scene` with its vertices where its materials move them; None when cancelled meanwhile."""
-        move = functools.partial(self._cache.displaced, scene, self.device, mover(settings.kernel_tier))
-        if not is_displaced(scene):
-            return move()
-        before, closed, waited = self._building, self._tier_changes.is_closed, WaitedParts(parts)
+    def _unlike(self) -> list[str]:
+        """A warning where the devices are not of one model."""
+        other = next((each for each in self.devices if not is_alike(each, self.device)), None)
+        if other is None:
+            return []
+        return [
+            f"{self.device.alias} ({self.device.name}) and {other.alias} ({other.name}) are of unlike models: each "
+            "renders what it comes to, so that the last bits of another render of this picture may differ"
+        ]
 
-        def displace() -> Scene:
-            waited.enter("displacement")
-            return move()
+    def _prepare(self, job: Job, sharing: Sequence[SessionDevice]) -> list[Place]:
+        """The scene on the devices that share the render, side by side; nothing when cancelled meanwhile."""
+        stop, is_cancelled = threading.Event(), job.cancelled
 
-        done = begin_aside(lambda: once_free(before, displace, closed, waited))
-        self._building = end_of(done)
-        try:
-            ended = is_awaited(done, cancelled, lambda: on_progress(progress_of(parts, settings, self.device, "build")))
-            return done.result() if ended else None
-        except CompileStoppedError:  # the session was closed
-            return None
-        finally:
-            waited.give_up()
-            if done.done():
-                self._building = None
+        def cancelled() -> bool:
+            if not stop.is_set() and is_cancelled():
+                stop.set()
+            return stop.is_set()
 
-    def _prepare(self, job: Job) -> tuple[DeviceScene | None, list[str]]:
-        """The scene on the device, and the names of the modules of kernels; nothing when cancelled meanwhile."""
-        kernels = job.request.kernels(self.device) + [add_integers_kernel] * (job.settings.half_count - 1)
-        preparation = Preparation(kernels, self.device, self._building, self._tier_changes.is_closed, job.parts)
-        request = GeometryRequest(
-            settings=job.settings,
-            plan=job.plan,
-            layout=self.layout,
-            instancing=job.features.instancing,
-            page_folder=self._page_folder,
-            cancelled=preparation.is_given_up,
+        def show() -> None:
+            job.on_progress(progress_of(job.parts, job.settings, self.devices, "build"))
+
+        def prepare(at: SessionDevice, its: Job) -> Place | None:
+            with named_failures(at.device):
+                scene, modules = at.prepare(its, self._page_folder)
+            return None if scene is None else Place(at, its, scene, modules)
+
+        job.cancelled = cancelled
+        first, *others = sharing
+        if not others:
+            made = [prepare(first, job)]
+        else:
+            jobs = [self._beside(job, each, stop.is_set) for each in others]
+            with ThreadPoolExecutor(max_workers=len(others), thread_name_prefix="RayBatch device") as pool:
+                try:
+                    waited = [pool.submit(prepare, *each) for each in zip(others, jobs, strict=True)]
+                    made = [prepare(first, job)]
+                    for each in waited:
+                        is_awaited(each, cancelled, show)
+                    made += [each.result() for each in waited]
+                except BaseException:
+                    stop.set()  # the pool waits for the others
+                    raise
+        return [each for each in made if each] if all(made) else []
+
+    def _beside(self, job: Job, at: SessionDevice, cancelled: Callable[[], bool]) -> Job:
+        """What `job` is on another device than the first: with its own plan, and without a word to anybody."""
+        return replace(
+            job,
+            tier=choose_tier(job.features, job.settings.kernel_tier, at.device),
+            plan=at.plan(job.scene, job.settings, job.size, job.features),
+            on_tile=lambda tile: None,
+            on_progress=lambda progress: None,
+            cancelled=cancelled,
+            watchers=[],
+            parts=Parts("check"),
+            warnings=[],
+            checkpoint=None,
+            chosen={},
         )
-
-        asked = asked_of(job.settings, job.features, job.tier.shading, request)
-
-        def build() -> DeviceScene:
-            return DeviceScene.build(
-                job.scene, job.features, request, self.device, self._cache, job.tier.shading, preparation.enter
-            )
-
-        def on_progress(stage: str, fraction: float, message: str) -> None:
-            reported = progress_of(job.parts, job.settings, self.device, stage, fraction=fraction, message=message)
-            job.on_progress(reported)
-
-        try:
-            return preparation.run(build, job.cancelled, on_progress, self._kept, asked)
-        finally:
-            job.warnings += preparation.warnings
-            self._building = preparation.build
-
-    def _workers(self, job: Job, workers: WorkersFor, state: ResumeState) -> list[TileIntegrator]:
-        last = state.end == state.policy.sample_count
-        areas = [halves[0].tile.pixel_count for halves in (state.open_tiles if last else state.tiles)]
-        # samples of a pixel in one half: halves are rendered one after the other
-        samples = -(-state.policy.sample_count // job.settings.half_count)
-        made = workers.get(areas, samples)
-        job.warnings += made.warnings
-        job.chosen.update(made.chosen)
-        job.path_bytes = made.path_bytes
-        return made.integrators
 
     # --- the render itself
 
-    def _run(self, job: Job, integrators: list[TileIntegrator], state: ResumeState, film: Film) -> None:
-        """Let the integrators render what is left of `state`; callbacks are called on this thread."""
+    def _render(self, job: Job, places: list[Place], state: ResumeState, film: Film) -> None:
+        """Let the workers of all places render what is left of `state`."""
+        job.parts.enter("paths")
+        for place in places:
+            place.make_workers(state)
+            found = place.scene.warnings + (place.job.warnings if place.job is not job else [])
+            job.warnings += [each for each in found if each not in job.warnings]
+        integrators = [each for place in places for each in place.integrators]
+        counting = places[0].scene.tracing.counters(job.settings, job.features.passes)
+        if counting:
+            job.warnings += counting.warnings()
+        if any(each.is_counting for each in integrators):
+            with hardware_counters(self.device.is_cuda) as counters:
+                self._run(job, places, state, film)
+            job.hardware = counters.report()
+        else:
+            self._run(job, places, state, film)
+        if state.policy.stopped_by is not None and state.drained:
+            for place in places:
+                place.keep_workers()
+
+    def _run(self, job: Job, places: list[Place], state: ResumeState, film: Film) -> None:
+        """The same; callbacks are called on this thread."""
+        integrators = [each for place in places for each in place.integrators]
         seconds_left: float | None = None
 
         def on_tile(tile: FinishedTile, passes: dict[str, np.ndarray]) -> None:
@@ -320,14 +336,14 @@ class Session:
 
         def on_progress(fraction: float, samples: float, seconds: float) -> None:
             nonlocal seconds_left
-            if job.change:
-                job.change.go_on()
+            for change in changes:
+                change.go_on()
             seconds_left = seconds / fraction - seconds if fraction > 0.001 else None
             rays = sum(i.rays.total for i in integrators)
             progress = progress_of(
                 job.parts,
                 job.settings,
-                self.device,
+                self.devices,
                 "render",
                 fraction=fraction,
                 kernels=job.kernels_now,
@@ -348,20 +364,29 @@ class Session:
             keeper=job.checkpoint,
         )
         job.rendering = Rendering(integrators, state, film, events, job.parts.started, job.steps)
-        change = None
-        if job.tier.general and job.tier.asked == "AUTO":
-            request = CompileRequest(job.features, job.settings, job.plan)
-            change = job.change = TierChange(
-                self._tier_changes, request, integrators, lambda: seconds_left, self.device
-            )
+        changes = self._changes(job, places, lambda: seconds_left)
         try:
             job.rendering.run()
         finally:
-            if change:
+            for change in changes:
                 change.close()
             if job.checkpoint:
                 job.checkpoint.wait()
-        if change:
+        if changes:
             job.chosen["kernel_tier"] = Choice("GENERAL", job.kernels["why"])
-        if change and (complaint := self._tier_changes.complaint(change.request)):
-            job.warnings.append(f"specialised kernels could not be compiled, general ones rendered: {complaint}")
+        for change in changes:
+            if complaint := change.complaint:
+                job.warnings.append(f"specialised kernels could not be compiled, general ones rendered: {complaint}")
+
+    def _changes(self, job: Job, places: list[Place], left: Callable[[], float | None]) -> list[TierChange]:
+        """Who may hand specialised kernels to workers that begin with general ones: one for each model of device."""
+        changes = []
+        for i, place in enumerate(places):
+            tier, device = place.job.tier, place.at.device
+            is_first = not any(is_alike(device, before.at.device) for before in places[:i])
+            if is_first and tier.general and tier.asked == "AUTO":
+                alike = [each for its in places if is_alike(device, its.at.device) for each in its.integrators]
+                request = CompileRequest(job.features, job.settings, place.job.plan)
+                changes.append(TierChange(place.at.tier_changes, request, alike, left, device))
+        job.change = changes[0] if changes else None
+        return changes

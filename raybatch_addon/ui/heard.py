@@ -29,8 +29,9 @@ def is_heard(settings: Any, name: str) -> bool:
         return settings.pixel_filter != "BOX"
     if name == "texture_filter_width":
         return settings.texture_filter != "OFF"
-    if name in _OF_CUDA and settings.device.lower() == "cpu":
+    devices = {each.strip() for each in settings.device.lower().split(",")}
+    if name in _OF_CUDA and devices == {"cpu"}:
         return False
-    if name == "thread_count":
-        return not settings.device.lower().startswith("cuda")
+    if name == "thread_count":  # AUTO and ALL may be the CPU
+        return not devices.isdisjoint({"auto", "all", "cpu"})
     return name not in _OF_BATCHING or settings.batching in ("AUTO", "ON")

@@ -34,8 +34,8 @@ def estimate_lines(context) -> list[str]:
 
 def _is_cuda(settings: RenderSettings, statistics: dict[str, Any] | None) -> bool | None:
     """Whether the render will be on a CUDA device; None as long as devices are looked for."""
-    device = settings.device.lower()
-    if device == "auto":
+    device = settings.device.lower().partition(",")[0].strip()
+    if device in ("auto", "all"):
         if statistics is None:
             known = device_choices()
             return None if known is None else any(each.name.startswith("cuda") for each in known)

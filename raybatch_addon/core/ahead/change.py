@@ -214,7 +214,9 @@ class TierChange:
         left: Callable[[], float | None],
         device: wp.Device,
     ):
-        """`left`: how long the render will take from now on, if known [s]."""
+        """`left`: how long the render will take from now on, if known [s]. The integrators may be on several devices
+        of the model of `device`.
+        """
         self.request = request
         self.changed_after: float | None = None  # seconds from here
         self.compiled_for_next = False  # whether they were still compiled when the render was over
@@ -239,6 +241,11 @@ class TierChange:
                     self._thread = thread
 
     @property
+    def complaint(self) -> str:
+        """Why the specialised kernels could not be compiled; empty where nothing failed."""
+        return self._changes.complaint(self.request)
+
+    @property
     def is_compiling(self) -> bool:
         """Whether the specialised kernels are being compiled."""
         return self._changes.is_compiling(self.request)
@@ -260,7 +267,7 @@ class TierChange:
         if self.changed_after is not None:
             decided = f": {self._decision.why}" if self._decision else ""
             return f"specialised ones took over after {seconds:.1f} s{decided}"
-        if self._changes.complaint(self.request):
+        if self.complaint:
             return "they could not be compiled"
         decision = self._decision
         if decision and decision.pays:
@@ -295,12 +302,13 @@ class TierChange:
             self._changes.fail(self.request.features, str(error))
 
     def _take_over(self) -> None:
-        load_kernels(self.request.kernels(self._device), self._device, lambda done, total: None, self._over.is_set)
-        if self._over.is_set():
-            raise CompileStoppedError
-        kernels = StageKernels.choose(self.request.features, self._device)
+        devices = {each.alias: each for each in (self._device, *(each.device for each in self._integrators))}
+        for device in devices.values():
+            load_kernels(self.request.kernels(device), device, lambda done, total: None, self._over.is_set)
+            if self._over.is_set():
+                raise CompileStoppedError
         for integrator in self._integrators:
-            integrator.use_kernels(kernels)
+            integrator.use_kernels(StageKernels.choose(self.request.features, integrator.device))
         self.changed_after = time.perf_counter() - self._begun
 
 

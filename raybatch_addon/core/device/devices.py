@@ -26,6 +26,7 @@ from .precompiled_header import share_precompiled_header
 from .ready import write_notes
 
 _warp_lock = threading.Lock()
+_default_lock = threading.RLock()
 # Warp's native code prints lines that begin so where there is no CUDA driver, or a driver without a device that it may
 # use, whatever its log level is. That is no fault: `find_device` says which devices there are.
 _NO_CUDA = (
@@ -120,6 +121,34 @@ def find_device(name: str) -> wp.Device:
         # the first thread that asks makes the context, then its stream; another would find one without the other
         _ = device.context
     return device
+
+
+def find_devices(names: str) -> list[wp.Device]:
+    """The devices called `names`, each as `find_device` knows it, with commas between; ALL: every CUDA device of the
+    model of the first, or the CPU where there is none. Raises `DeviceError`.
+    """
+    if names.strip().upper() == "ALL":
+        first = find_device("AUTO")
+        names = ",".join(each.alias for each in wp.get_cuda_devices() if is_alike(each, first)) or first.alias
+    found: list[wp.Device] = []
+    for name in names.split(","):
+        device = find_device(name)
+        if device in found:
+            raise DeviceError(f"{names!r} names {device.alias} twice; name each device once")
+        found.append(device)
+    return found
+
+
+def is_alike(device: wp.Device, other: wp.Device) -> bool:
+    """Whether both are of one model, so that they render the same bits."""
+    return device.is_cuda == other.is_cuda and (device.is_cpu or (device.name, device.arch) == (other.name, other.arch))
+
+
+@contextlib.contextmanager
+def by_default_on(device: wp.Device) -> Iterator[None]:
+    """Inside, Warp means `device` where none is named. All threads share that one: others wait here meanwhile."""
+    with _default_lock, wp.ScopedDevice(device):
+        yield
 
 
 def one_of_each_kind() -> list[wp.Device]:

@@ -6,12 +6,14 @@ rounded picture. The sums follow when somebody asks for them, to merge or to go 
 
 from __future__ import annotations
 
+import copy
 import functools
 
 import numpy as np
 import warp as wp
 
 from ..device.kernel import KERNEL_OPTIONS
+from ..native.structs import struct_on
 from ..scene.passes import matte_kinds
 from .channels import ChannelLayout
 from .host_samples import HostSamples
@@ -283,6 +285,17 @@ class FinishedTile:
         kinds = len(matte_kinds(pass_names))
         film.mattes, mattes = mattes_on_device(samples.mattes, len(samples.counts), kinds, device)
         return FinishedTile(rectangle, film, layout, pass_names, int(samples.counts.sum()), cost, mattes)
+
+    def on(self, device: wp.Device) -> FinishedTile:
+        """This tile where it is on `device`, else a copy there, as `copied`."""
+        return self if self.film.window.device == device else self.copied(device)
+
+    def copied(self, device: wp.Device) -> FinishedTile:
+        """A copy on `device` to which more can be added, apart from this tile. Not of a sum of halves."""
+        made = copy.copy(self)
+        made.film = struct_on(self.film, device)
+        made.cost = None if self.cost is None else wp.clone(self.cost, device=device)
+        return made
 
     def fetch(self) -> HostSamples:
         """What the pictures are made of."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import platform
 import sys
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,7 @@ def versions() -> dict[str, str]:
 
 def render_statistics(
     *,
-    device: wp.Device,
+    devices: Sequence[wp.Device],
     settings: RenderSettings,
     features: SceneFeatures,
     frame: dict[str, Any],
@@ -48,7 +49,8 @@ def render_statistics(
     return {
         "engine": ENGINE,
         "versions": versions(),
-        "device": device_description(device),
+        "device": device_description(devices[0]),
+        "devices": [device_description(each) for each in devices],
         "settings": dataclasses.asdict(settings),
         "frame": frame,
         "seconds": seconds,
@@ -56,6 +58,6 @@ def render_statistics(
         "rays": {**rays, "total": sum(rays.values())},
         "rays_per_second": round(sum(rays.values()) / seconds["render"]) if seconds.get("render") else 0,
         "left_out": features.left_out(),
-        "memory_peak": {"host": host_memory_peak(), "device": device_memory_peak(device)},
+        "memory_peak": {"host": host_memory_peak(), "device": max(map(device_memory_peak, devices))},
         **counts,
     }

@@ -77,6 +77,19 @@ def arrays_in(value: Any) -> dict[int, int]:
     return {address: size for each in inner for address, size in arrays_in(each).items()}
 
 
+def struct_on(value: Any, device: wp.Device) -> Any:
+    """One instance of a Warp struct with copies on `device` of all arrays in it, and in structs of it."""
+    made = value._cls()
+    for name in value._cls.vars:
+        each = getattr(value, name)
+        if isinstance(each, wp.array):
+            each = wp.clone(each, device=device)
+        elif hasattr(each, "_cls"):
+            each = struct_on(each, device)
+        setattr(made, name, each)
+    return made
+
+
 def _copied(address: int, count: int, struct: Any, device: wp.Device) -> wp.array:
     made = wp.empty(count, dtype=struct, device=device)
     if count:

@@ -18,7 +18,8 @@ class DeviceSettings:
     device: str = setting(
         "AUTO",
         "Device",
-        "Where to render: AUTO (the first CUDA device, else the CPU), cpu, or cuda:N",
+        "Where to render: AUTO (the first CUDA device, else the CPU), cpu, cuda:N, several of these with commas "
+        "between, which share each picture, or ALL CUDA devices of the first one's model",
         group="DEVICE",
         effect="schedule",
         auto="AUTO",

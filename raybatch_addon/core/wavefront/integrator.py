@@ -55,7 +55,7 @@ class TileIntegrator:
 
     def __init__(self, scene: DeviceScene, frame: Frame, settings: RenderSettings, marks: WaterMarks):
         features, device, count = scene.features, scene.device, marks.path_count
-        self._scene, self._frame, self._marks = scene, frame, marks
+        self._scene, self._frame, self._marks, self.device = scene, frame, marks, device
         self._layout = layout_of(frame.passes, frame.transparent)
         self._paths = allocate_paths(count, array_features(features, scene.shading), device)
         self._passes = make_path_passes(count, features, self._layout, scene.pass_inputs, scene.camera, device)
@@ -115,7 +115,7 @@ class TileIntegrator:
     def begin(self, settings: RenderSettings) -> None:
         """A render begins, by `settings` that differ from those before in their random numbers alone."""
         self._settings, scene = settings, self._scene
-        self._kernels = StageKernels.choose(scene.features, scene.device, scene.shading)
+        self._kernels = StageKernels.choose(scene.features, self.device, scene.shading)
         self._wanted_kernels = self._kernels  # for the next turn
         self._half_limits = [path_limits(settings, self._frame, half) for half in range(settings.half_count)]
         self._limits = self._half_limits[0]
@@ -378,14 +378,14 @@ class TileIntegrator:
         if kernel is not None:
             work.stage = int(stage)
             inputs = self._scene.data, work, self._limits, self._paths, self._rays, film, slots.slots, slots.count
-            self._launch(kernel, stage_thread_count(slots.bound, self._scene.device), *inputs)
+            self._launch(kernel, stage_thread_count(slots.bound, self.device), *inputs)
 
     def _launch_volumes(self, stage: VolumeStage, slots: RayList, work: TileWork) -> None:
         volumes = self._kernels.volumes
         kernel = volumes.scatter if stage is VolumeStage.SCATTER else volumes.transmit
         work.stage = int(stage)
-        scene = self._scene.data, self.volumes
-        self._launch_over(kernel, slots, *scene, work, self._limits, self._paths, self._rays)
+        inputs = self._scene.data, self.volumes, work, self._limits, self._paths, self._rays
+        self._launch_over(kernel, slots, *inputs)
 
     def _catch(self, slots: RayList) -> None:
         if self._catchers:

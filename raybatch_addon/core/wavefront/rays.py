@@ -15,6 +15,7 @@ from enum import IntFlag
 import warp as wp
 
 from ..bvh.tree import TRAIL_LEVELS, TopProgress
+from ..device.devices import by_default_on
 from ..rays import Rays
 from ..scene.description import Visibility
 from ..scene.features import SceneFeatures
@@ -316,7 +317,7 @@ def trail_words(levels: int) -> int:
 def allocate_progress(count: int, words: int, instancing: bool, device: wp.Device) -> TopProgress:
     """`TopProgress` of `count` rays with trails of `words` words."""
     progress = TopProgress()
-    with wp.ScopedDevice(device):
+    with by_default_on(device):
         progress.trail = wp.zeros((words, count), dtype=wp.uint32)
         progress.entry = wp.zeros(count if instancing else 0, dtype=int)
         progress.visits = wp.zeros(1, dtype=wp.int64)

@@ -27,6 +27,8 @@ CUT_TILES_A_WORKER = 2
 CPU_STEP_TILE = 512
 # Where a tile's last paths come to their end a GPU has little to do, so its tiles have this many paths if they can
 CUDA_TILE_PATHS = 1 << 24
+# Tiles of each of several CUDA devices, about, and the edge below which such tiles keep none of them busy
+SHARED_TILES, SHARED_TILE_LEAST = 8, 256
 
 
 @dataclass(frozen=True)
@@ -96,10 +98,13 @@ def tile_edge(
     if not is_cuda:
         fewest = math.ceil(math.sqrt(CPU_TILE_PATHS_LEAST / settings.sample_count))
         return min(CPU_TILE, max(quarter, min(fewest, max(width, height))))
+    most = CUDA_TILE
+    if workers > 1:
+        most = min(most, max(SHARED_TILE_LEAST, math.ceil(math.sqrt(width * height / (SHARED_TILES * workers)))))
     if width * height * settings.sample_count <= CUDA_TILE_PATHS:
-        return min(CUDA_TILE, max(width, height))
+        return min(most, max(width, height))
     paced = math.ceil(math.sqrt(4 * CUDA_TILE_PATHS / settings.sample_count))
-    return min(CUDA_TILE, quarter, max(256, paced))
+    return min(most, quarter, max(256, paced))
 
 
 def round_tile_edge(

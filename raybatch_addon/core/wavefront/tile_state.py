@@ -22,6 +22,18 @@ class TileState:
     active: wp.array | None = None  # pixels that get samples, int32, as `active_number` takes them; None: all
 
     @property
+    def place(self) -> str | None:
+        """The device that has its sums; None where there are none yet."""
+        return None if self.held is None else self.held.film.window.device.alias
+
+    def move_to(self, device: wp.Device) -> None:
+        """Go on with it there."""
+        if self.held is not None:
+            self.held = self.held.on(device)
+        if self.active is not None and self.active.device != device:
+            self.active = wp.clone(self.active, device=device)
+
+    @property
     def pixel_count(self) -> int:
         """Pixels that get samples in this round."""
         return self.tile.pixel_count if self.active is None else self.active.size

@@ -2,6 +2,7 @@
 
 import re
 from types import SimpleNamespace
+from unittest import mock
 
 import pytest
 
@@ -12,7 +13,7 @@ from raybatch_addon.core.settings.settings import BYTES, GROUPS, SETTINGS
 from raybatch_addon.export.settings import assign_setting, settings_from
 from raybatch_addon.ui import render_panels
 from raybatch_addon.ui.choices import value_text
-from raybatch_addon.ui.devices import choices_for
+from raybatch_addon.ui.devices import choices_for, draw_devices
 from raybatch_addon.ui.heard import is_heard
 from raybatch_addon.ui.panel import fitting_lines, free_width, label_width
 from raybatch_addon.ui.properties import switch_name
@@ -178,6 +179,38 @@ def test_devices_are_a_list_with_names_and_memory(scene, monkeypatch):
     assert own.device_choice == "cuda:7", "a file from another computer keeps what it says"
     own.device_choice = "cpu"
     assert own.device == "cpu"
+
+
+def test_devices_are_ticked_to_share_each_picture(scene, monkeypatch):
+    names = ("AUTO", "cpu", "cuda:0", "cuda:1")
+    found = tuple(devices.DeviceChoice(name, f"label of {name}", "") for name in names)
+    monkeypatch.setattr("raybatch_addon.ui.devices.device_choices", lambda: found)
+    own = scene.raybatch
+    ticks = (
+        ("cuda:1", "cuda:1"),
+        ("cuda:0", "cuda:0,cuda:1"),  # in their order, whichever was ticked first
+        ("cpu", "cpu,cuda:0,cuda:1"),
+        ("cpu", "cuda:0,cuda:1"),
+        ("cuda:0", "cuda:1"),
+        ("cuda:1", "AUTO"),
+    )
+    own.device = "AUTO"
+    for name, expected in ticks:
+        bpy.ops.raybatch.share_device(name=name)
+        assert own.device == own.device_choice == expected
+    own.device = "ALL"
+    assert choices_for("ALL")[-1].label == "All CUDA devices" and own.device_choice == "ALL"
+    bpy.ops.raybatch.share_device(name="cuda:1")
+    assert own.device == "cuda:0"
+    assert choices_for("cuda:0, cuda:1")[-1].label == "Together: cuda:0, cuda:1"
+    assert choices_for("cuda:0,cuda:7")[-1].label == "cuda:0,cuda:7: not on this computer"
+    own.device = "cuda:0,cuda:1"
+    shown, layout = [], mock.MagicMock()
+    layout.column().row().prop_enum.side_effect = lambda owner, name, value: shown.append(value)
+    draw_devices(layout, bpy.context)
+    assert shown == [*names, "cuda:0,cuda:1"]
+    ticked = [call.kwargs["depress"] for call in layout.column().row().operator.call_args_list]
+    assert ticked == [False, True, True], "not AUTO, nor what stands for the choice as a whole"
 
 
 def test_the_devices_of_this_computer_are_named(scene):

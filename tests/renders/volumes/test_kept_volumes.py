@@ -101,4 +101,4 @@ def test_a_session_forgets_the_volumes_of_scenes_before(made):
     session = Session(DEVICE)
     film(smoky(), session)
     film(in_box(Volume()), session)
-    assert session._cache.volumes.device_bytes == 0
+    assert session._at[0].cache.volumes.device_bytes == 0

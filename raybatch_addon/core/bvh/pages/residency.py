@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from ...device.devices import by_default_on
 from ...device.kernel import KERNEL_OPTIONS
 from ...errors import OutOfMemoryError
 from ..tree import Treelets
@@ -130,7 +131,7 @@ class Residency:
         self._bytes_always = scene.resident_bytes + staging_bytes_of(scene, self.slot_count, device)
         self.bytes_peak = self._bytes_always  # of geometry on the device at most
 
-        with wp.ScopedDevice(device):
+        with by_default_on(device):
             self._tables = (
                 wp.array(np.asarray(scene.treelet_page, np.int32), dtype=int),
                 wp.array(np.asarray(scene.treelet_node_byte, np.int64), dtype=wp.int64),

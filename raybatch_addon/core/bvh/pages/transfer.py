@@ -20,6 +20,7 @@ from typing import Protocol
 
 import warp as wp
 
+from ...device.devices import by_default_on
 from .paged_scene import PagedScene
 from .store import bytes_of_rows, page_buffer
 
@@ -218,7 +219,7 @@ def copy_stream(alias: str) -> wp.Stream:
     """
     non_blocking = 1  # CU_STREAM_NON_BLOCKING of the driver
     device = wp.get_device(alias)
-    with contextlib.suppress(OSError, AttributeError), wp.ScopedDevice(device):
+    with contextlib.suppress(OSError, AttributeError), by_default_on(device):
         driver = ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
         handle = ctypes.c_void_p()
         if driver.cuStreamCreate(ctypes.byref(handle), ctypes.c_uint(non_blocking)) == 0 and handle.value:

@@ -54,6 +54,14 @@ class HalfPictures:
         rectangle = Rectangle(first.x, first.y, first.width, first.height)
         return HalfPictures(rectangle, (first.colors(), second.colors()), (first.film.counts, second.film.counts))
 
+    def on(self, device: wp.Device) -> HalfPictures:
+        """These on `device`, where they are or copied."""
+        colors, counts = (
+            tuple(each if each.device == device else wp.clone(each, device=device) for each in arrays)
+            for arrays in (self.colors, self.counts)
+        )
+        return HalfPictures(self.rectangle, colors, counts)
+
     @staticmethod
     def of_film(film: Film, device: wp.Device) -> HalfPictures:
         """The pictures of a whole film, which has halves."""
@@ -112,7 +120,7 @@ class ActivePixels:
         """
         height, width = self.stopped.shape
         noise = wp.zeros(self.stopped.size, dtype=float, device=device)
-        for each in pictures:
+        for each in (each.on(device) for each in pictures):
             part = NoisePart()
             part.first, part.second = each.colors
             part.first_counts, part.second_counts = each.counts

@@ -7,6 +7,7 @@ from enum import IntEnum
 import numpy as np
 import warp as wp
 
+from ...device.devices import by_default_on
 from ...film.channels import ChannelLayout
 from ...scene.description import Scene
 from ...scene.features import SceneFeatures
@@ -86,7 +87,7 @@ def allocate_caught(
     for name in layout.others:
         if name in (*DIRECT_PASSES, *INDIRECT_PASSES, *VOLUME_PASSES) or name.startswith(LIGHT_GROUP):
             of_light[first(name) : first(name) + channels_of(name)] = 1
-    with wp.ScopedDevice(device):
+    with by_default_on(device):
         for name in (*_OF_PATHS, *_OF_TRANSPARENCY):
             count = path_count if features.transparency or name in _OF_PATHS else 0
             setattr(caught, name, wp.zeros(count, dtype=CaughtPaths.vars[name].type.dtype))

@@ -16,6 +16,7 @@ from enum import Enum
 
 import warp as wp
 
+from ...device.devices import by_default_on
 from ...device.kernel import KERNEL_OPTIONS
 from ...measure.timing import NoTimer, StageTimer
 from ...rays import RayList, Rays
@@ -129,7 +130,7 @@ class HitOrder:
         self._capacity = capacity = min(path_count, capacity or SORTED_MAX)
         part = self._part = HitPart()
         part.shift = max(0, (geometry.positions.size // 3).bit_length() - HitKey.TRIANGLE.value)
-        with wp.ScopedDevice(device):
+        with by_default_on(device):
             part.count = wp.zeros(1, dtype=int)
             part.keys = wp.zeros(2 * capacity, dtype=wp.uint32)
             part.slots = wp.zeros(2 * capacity, dtype=int)

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 import warp as wp
 
+from ...device.devices import by_default_on
 from ...film.channels import ChannelLayout
 from ...film.mattes import MatteEntry
 from ...programs.inputs_data import corner_values
@@ -143,7 +144,7 @@ def make_path_passes(
     passes = PathPasses()
     split, shadow = features.splits_light, features.splits_light and features.shadow_rays
     settles = features.records_surfaces and features.transparency
-    with wp.ScopedDevice(device):
+    with by_default_on(device):
         passes.values = wp.zeros((layout.others_count, path_count), dtype=float)
         passes.share = wp.zeros(path_count if split else 0, dtype=wp.vec4)
         passes.shadow_share = wp.zeros(path_count if shadow else 0, dtype=wp.vec4)

@@ -8,21 +8,21 @@ import math
 import queue
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from typing import Any, Protocol
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
 from ...convergence.halves import HalfError, half_error
+from ...device.failures import named_failures
 from ...film import Film
 from ...film.tile import FinishedTile
 from ...measure.snapshot import Snapshot
-from ...observers import RenderObserver
 from ...scene.passes import GUIDE_PASSES
 from ..integrator import TileIntegrator, TileState
+from .deal import Deal
+from .events import RenderEvents
 from .resume import ResumeState
-from .rounds import sample_marks
 from .steps import TileSteps
 from .summary import ray_totals
 
@@ -30,49 +30,8 @@ from .summary import ray_totals
 POLL_SECONDS = 0.05
 # A cancelled render that is kept waits this long for the rays that are under way, without which it cannot go on [s]
 KEPT_PATIENCE = 5.0
-
-
-class StateKeeper(Protocol):
-    """Whoever keeps how far a render has come, while it goes on."""
-
-    def start(self) -> None:
-        """The workers are about to begin."""
-
-    def is_due(self) -> bool:
-        """Whether the workers are to stop for it now; asked several times a second."""
-
-    def keep(self, state: ResumeState) -> None:
-        """Copy `state` and its sums: no worker is at them until this returns."""
-
-
-@dataclass(frozen=True)
-class SnapshotWatcher:
-    """An observer who receives pictures on the way."""
-
-    marks: tuple[int, ...]  # sample counts of the pictures, ascending; one more comes at the end
-    on_snapshot: Callable[[Snapshot], None]
-
-
-def snapshot_watchers(observers: Iterable[RenderObserver], sample_count: int) -> list[SnapshotWatcher]:
-    """The observers that want snapshots of a render of `sample_count` samples."""
-    wanted = [(observer, observer.snapshot_samples(sample_count)) for observer in observers]
-    return [
-        SnapshotWatcher(sample_marks(marks, sample_count), observer.on_snapshot)
-        for observer, marks in wanted
-        if marks is not None
-    ]
-
-
-@dataclass(frozen=True, kw_only=True)
-class RenderEvents:
-    """Functions to call when something happens. All calls come from the thread that calls `Rendering.run`."""
-
-    on_tile: Callable[[FinishedTile, dict[str, np.ndarray]], None]  # with the passes of its rectangle
-    # arguments: share of the work that is done, mean samples of a pixel, seconds of rendering
-    on_progress: Callable[[float, float, float], None]
-    cancelled: Callable[[], bool]
-    watchers: Sequence[SnapshotWatcher]
-    keeper: StateKeeper | None = None
+# Of its part of all paths that are left, a worker begins so much of a tile before that is shown
+LEFT_SHARE = 0.5
 
 
 class Rendering:
@@ -189,10 +148,9 @@ class Rendering:
         """
         state, events = self._state, self._events
         is_cancelled = is_kept = False
-        todo: queue.SimpleQueue[tuple[TileState, ...]] = queue.SimpleQueue()
         # with steps no tile gets ahead of the others, however often the workers are stopped
-        for halves in state.open_tiles_behind_first if self._steps else state.open_tiles:
-            todo.put(halves)
+        tiles = state.open_tiles_behind_first if self._steps else state.open_tiles
+        todo = Deal((halves, halves[0].place) for halves in tiles)
         results: queue.SimpleQueue[FinishedTile | BaseException | None] = queue.SimpleQueue()
         stop = threading.Event()
 
@@ -213,15 +171,14 @@ class Rendering:
             is_stopped: Callable[[], bool] = stop.is_set,
             finish: Callable[[FinishedTile], None] = results.put,
         ) -> None:
+            place = integrator.device.alias
             try:
-                while not stop.is_set():
-                    halves = todo.get_nowait()
+                while not stop.is_set() and (halves := todo.take(place)) is not None:
                     left = state.items_left_of(halves)
-                    finish(self._render_tile(integrator, halves, is_stopped))
+                    with named_failures(integrator.device):
+                        finish(self._render_tile(integrator, halves, is_stopped))
                     if 0 < state.items_left_of(halves) < left:  # one that was stopped waits for who resumes it
-                        todo.put(halves)
-            except queue.Empty:
-                pass
+                        todo.put_back(halves, place)
             except BaseException as error:  # carried to the calling thread, and raised there
                 stop.set()
                 results.put(error)
@@ -299,6 +256,7 @@ class Rendering:
         samples_most = self._step_end(halves)
         begun, before = [state.items_begun for state in halves], integrator.items_done
         for state in halves:
+            state.move_to(integrator.device)
             samples = self._state.samples_of(state)
             most = max(samples_most * state.pixel_count - state.items_begun, 0)
             finished.append(integrator.render(state, samples.first, samples.sample_count, stop, most))
@@ -322,7 +280,9 @@ class Rendering:
         if not self._steps:
             return last
         begun = min(state.items_begun // max(state.pixel_count, 1) for state in halves)
-        return begun + self._steps.samples((tile.x, tile.y, tile.width, tile.height), last - begun)
+        share = self._state.items_open / max(sum(state.pixel_count for state in halves), 1)
+        share *= LEFT_SHARE / len(self._integrators)
+        return begun + self._steps.samples((tile.x, tile.y, tile.width, tile.height), last - begun, share)
 
     def _hand_out(self, tile: FinishedTile) -> None:
         """Put `tile` into the film, and show it."""

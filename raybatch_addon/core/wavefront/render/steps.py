@@ -18,6 +18,8 @@ STEP_SECONDS = 1.0
 GROWTH_MOST = 8
 # The last step of a tile may be so many times as long: a rest would not pay
 LAST_LONGER = 1.5
+# Towards the end steps are shorter, so that workers come to it together, unless stopping and showing took so much of it
+END_COST_SHARE = 0.1
 
 
 class TileSteps:
@@ -29,14 +31,16 @@ class TileSteps:
         self._show_seconds: dict[Hashable, float] = {}  # that it took to show it then
         self._done: dict[Hashable, float] = {}  # samples so far
 
-    def samples(self, tile: Hashable, left: int) -> int:
-        """Samples of the next step of `tile`, which has `left` to come; 1 where nothing is known of it."""
+    def samples(self, tile: Hashable, left: int, share: float = math.inf) -> int:
+        """Samples of the next step of `tile`, which has `left` to come; 1 where nothing is known of it. `share` is what
+        a worker should take of all that is left at most, as samples of this tile.
+        """
         seconds = self._seconds_a_sample.get(tile)
         if seconds is None:
             return min(1, left)
         cost = self._stop_seconds[tile] + self._show_seconds.get(tile, 0.0)
         wanted = max(STEP_SECONDS, cost / COST_SHARE) / max(seconds, 1e-9)
-        wanted = min(wanted, GROWTH_MOST * self._done[tile])
+        wanted = min(wanted, GROWTH_MOST * self._done[tile], max(share, cost / END_COST_SHARE / max(seconds, 1e-9)))
         return left if left <= LAST_LONGER * wanted else max(1, math.ceil(wanted))
 
     def note(self, tile: Hashable, samples: int, seconds: float, stop_seconds: float) -> None:

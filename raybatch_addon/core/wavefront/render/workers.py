@@ -65,6 +65,11 @@ class WorkersFor:
         self._made = found
         return found
 
+    @property
+    def integrators(self) -> list[TileIntegrator]:
+        """The workers that `get` returned."""
+        return self._made.integrators
+
     def keep(self) -> None:
         """All that was asked of the workers is done: they serve the next render of the scene too, unless they take much
         memory, or count from render to render. That of a CUDA device is planned by what is free.

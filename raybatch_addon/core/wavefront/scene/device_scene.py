@@ -195,6 +195,14 @@ class DeviceScene:
         )
 
     @property
+    def warnings(self) -> list[str]:
+        """What the user should know of it."""
+        found = [*self.images.warnings, *(self.volumes.warnings if self.volumes else ())]
+        if self.paged and "page_file_warning" in self.paged.statistics:
+            found.append(self.paged.statistics["page_file_warning"])
+        return found
+
+    @property
     def paged(self) -> PagedTree | None:
         """The tree, where it lies beyond memory."""
         return self.built if isinstance(self.built, PagedTree) else None

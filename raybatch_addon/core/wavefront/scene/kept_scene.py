@@ -57,9 +57,10 @@ class KeptScene:
     def _drop(self) -> None:
         self._made = self._workers = None
 
-    def begin(self, scene: Scene) -> None:
-        """A render of `scene` begins: what was made of another one is dropped before anything is made of this."""
-        key = scene_key(scene)
+    def begin(self, key: tuple[list[np.ndarray], tuple] | None) -> None:
+        """A render of the scene with this `scene_key` begins: what was made of another one is dropped before anything
+        is made of this.
+        """
         if key is None:
             self.clear()
         elif self._same is None or not self._same.holds(*key):

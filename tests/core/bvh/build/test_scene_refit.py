@@ -179,7 +179,7 @@ def test_a_top_level_that_outgrows_its_room_moves(layout):
         assert mesh.nodes.ptr == built.tree.nodes.ptr + 16 * first
     session = opened(layout)
     session.render(several(0.0))
-    session._cache._last.built.top_room = 0
+    session._at[0].cache._last.built.top_room = 0
     assert_same(session.render(several(0.3)), opened(layout).render(several(0.3)))
 
 

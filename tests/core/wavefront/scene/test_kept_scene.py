@@ -239,13 +239,13 @@ def test_memory_that_only_the_kept_scene_holds_is_counted(general_kernels, kind)
         picture = freeze(np.ones((4, 4, 4), np.float32))
         scene = replace(scene, images=(Image("picture", picture),))
     render(session, scene)
-    session._kept._workers = None
-    counted, before = session._kept.device_bytes, arrays_there()
-    session._kept.clear()
+    session._at[0].kept._workers = None
+    counted, before = session._at[0].kept.device_bytes, arrays_there()
+    session._at[0].kept.clear()
     after = arrays_there()
     freed = sum(size for address, size in before.items() if address not in after)
     assert counted == freed > 100
-    assert session._kept.device_bytes == 0
+    assert session._at[0].kept.device_bytes == 0
 
 
 def test_what_images_may_have_does_not_depend_on_what_is_kept(monkeypatch):

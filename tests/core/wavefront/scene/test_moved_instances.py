@@ -73,7 +73,7 @@ def assert_as_new(session, scene, **changes):
     settings = SETTINGS.replace(**changes)
     film, expected = session.render(scene, settings), Session(DEVICE).render(scene, settings)
     assert film.passes["Combined"].tobytes() == expected.passes["Combined"].tobytes()
-    last = session._cache._last
+    last = session._at[0].cache._last
     flat, geometry = flatten(scene, last.shows.groups), last.geometry
     for name in ("positions", "corner_normals", "instance_transform"):
         assert np.array_equal(getattr(geometry, name).numpy(), getattr(flat, name)), name

@@ -80,9 +80,9 @@ def test_a_world_is_tabulated_again_only_where_it_is_another(made):
         expected = Session(DEVICE).render(scene, SETTINGS)
         made.pop()
         assert np.array_equal(film.passes["Combined"], expected.passes["Combined"])
-    assert session._cache.world.device_bytes == 4 * (8 + 8 * 16)
+    assert session._at[0].cache.world.device_bytes == 4 * (8 + 8 * 16)
     session.render(replace(scene_of(world), world=World(radiance=(1.0, 1.0, 1.0))), SETTINGS)
-    assert session._cache.world.device_bytes == 0
+    assert session._at[0].cache.world.device_bytes == 0
 
 
 def test_pixels_that_may_change_are_looked_at_anew(made):

@@ -13,6 +13,7 @@ import numpy as np
 import warp as wp
 
 from ....bvh.tree import DONE, NEW
+from ....device.devices import by_default_on
 
 # Entries of `Blocks.state`
 FREE, OVERFLOW, IN_USE_PEAK, SHORT, WAIT_MAX, STEP, WAITING, STATE_SIZE = range(8)
@@ -159,7 +160,7 @@ def pool_bytes(size: PoolSize, queue_total: int, is_cuda: bool) -> int:
 def allocate_blocks(size: PoolSize, queue_total: int, device: wp.Device, host: bool) -> Blocks:
     """`Blocks`, all free; `host`: with the chains that one CPU thread goes along."""
     blocks = Blocks()
-    with wp.ScopedDevice(device):
+    with by_default_on(device):
         for name, count in (
             ("slots", size.entry_count),
             ("owner", size.block_count),

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import warp as wp
 
+from ....device.devices import by_default_on
 from ....device.kernel import KERNEL_OPTIONS
 from ....device.launches import RepeatedLaunches
 from ....rays import DeviceRayList, RayList
@@ -78,7 +79,7 @@ class BucketQueues:
         self.parallel_queues = DeviceQueues(self.blocks, self.capacity, device) if self._parallel else None
         self._check = BlockCheck(self.blocks, slot_count) if debug else None
         self.taken = DeviceRayList()
-        with wp.ScopedDevice(device):
+        with by_default_on(device):
             self.taken.slots, self.taken.locations = (
                 wp.zeros(self.capacity, dtype=int),
                 wp.zeros(self.capacity, dtype=int),

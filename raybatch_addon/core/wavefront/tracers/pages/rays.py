@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from ....bvh.tree import DONE, NEW
+from ....device.devices import by_default_on
 from ....rays import DeviceRayList, RayList
 from .kernels import (
     CHUNKS_MOST,
@@ -105,7 +106,7 @@ class WaitingRays:
         self._classes = CLASS_PAGES + page_count
         cuda = device.is_cuda
         waiting = self._waiting = Waiting()
-        with wp.ScopedDevice(device):
+        with by_default_on(device):
             waiting.location = wp.empty(slot_count, dtype=int)
             waiting.page = page_of
             waiting.classes, waiting.copies = self._classes, TALLY_COPIES if cuda else 1

@@ -1,0 +1,163 @@
+"""A device of a session: what it keeps from render to render, and how it gets ready for one."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from concurrent.futures import Future, wait
+from dataclasses import dataclass
+from pathlib import Path
+
+import warp as wp
+
+from .ahead.aside import WaitedParts, begin_aside, end_of, is_awaited, once_free
+from .ahead.change import TierChanges
+from .ahead.prepare import Preparation
+from .bvh.build.scene_tree import layout_for
+from .bvh.memory import GeometrySize
+from .device.compiler import CompileStoppedError
+from .device.devices import free_memory
+from .film.tile import add_integers_kernel
+from .job import Job, progress_of
+from .measure.parts import Parts
+from .observers import Progress
+from .scene.description import Scene
+from .scene.features import SceneFeatures
+from .settings.settings import RenderSettings
+from .wavefront.estimates.displacement import mover
+from .wavefront.integrator import TileIntegrator
+from .wavefront.plan.plan import Memory, TracingPlan, plan_tracing
+from .wavefront.render.resume import ResumeState
+from .wavefront.render.workers import WorkersFor
+from .wavefront.scene.device_scene import DeviceScene
+from .wavefront.scene.geometry_request import GeometryRequest
+from .wavefront.scene.kept_scene import KeptScene, asked_of
+from .wavefront.scene.scene_cache import SceneCache
+
+
+class SessionDevice:
+    """A device of a session, with its caches."""
+
+    def __init__(self, device: wp.Device, compile_between_renders: bool = False):
+        """`compile_between_renders`: see `Session`."""
+        self.device = device
+        self.layout = layout_for(device)  # of trees
+        self.kept = KeptScene()
+        self.tier_changes = TierChanges(device, compile_between_renders)
+        self.cache = SceneCache(lambda: self.kept.device_bytes)
+        self._building: Future | None = None  # the end of the last build
+
+    def close(self) -> None:
+        """Give back what is cached, and end what still compiles."""
+        self.tier_changes.close()
+        if self._building:
+            wait([self._building])  # what a cancelled render left behind reads and fills the caches
+        self.kept.clear()
+        self.cache.clear()
+
+    def plan(self, scene: Scene, settings: RenderSettings, size: GeometrySize, features: SceneFeatures) -> TracingPlan:
+        """How rays of `scene`, whose geometry is of this `size`, are traced here."""
+        free = self.cache.free_for_geometry(scene.images, self.device)
+        memory = Memory(size.needed(self.layout, self.device), free, free_memory(wp.get_device("cpu")))
+        samples = settings.sample_count * scene.frame.pixel_count
+        return plan_tracing(settings, size, self.layout, self.device.is_cuda, memory, samples, features.moving)
+
+    def displaced(
+        self,
+        scene: Scene,
+        settings: RenderSettings,
+        parts: Parts,
+        on_progress: Callable[[Progress], None],
+        cancelled: Callable[[], bool],
+    ) -> Scene | None:
+        """`scene`, whose materials move vertices, with these where they are moved to; None when cancelled meanwhile."""
+        before, closed, waited = self._building, self.tier_changes.is_closed, WaitedParts(parts)
+
+        def displace() -> Scene:
+            waited.enter("displacement")
+            return self.moved(scene, settings)
+
+        done = begin_aside(lambda: once_free(before, displace, closed, waited))
+        self._building = end_of(done)
+        try:
+            ended = is_awaited(
+                done, cancelled, lambda: on_progress(progress_of(parts, settings, [self.device], "build"))
+            )
+            return done.result() if ended else None
+        except CompileStoppedError:  # the session was closed
+            return None
+        finally:
+            waited.give_up()
+            if done.done():
+                self._building = None
+
+    def moved(self, scene: Scene, settings: RenderSettings) -> Scene:
+        """`scene` with its vertices where its materials move them, at once."""
+        return self.cache.displaced(scene, self.device, mover(settings.kernel_tier))
+
+    def prepare(self, job: Job, page_folder: Path) -> tuple[DeviceScene | None, list[str]]:
+        """The scene on the device, and the names of the modules of kernels; nothing when cancelled meanwhile."""
+        kernels = job.request.kernels(self.device) + [add_integers_kernel] * (job.settings.half_count - 1)
+        preparation = Preparation(kernels, self.device, self._building, self.tier_changes.is_closed, job.parts)
+        request = GeometryRequest(
+            settings=job.settings,
+            plan=job.plan,
+            layout=self.layout,
+            instancing=job.features.instancing,
+            page_folder=page_folder,
+            cancelled=preparation.is_given_up,
+        )
+        asked = asked_of(job.settings, job.features, job.tier.shading, request)
+        build = functools.partial(
+            DeviceScene.build,
+            job.scene,
+            job.features,
+            request,
+            self.device,
+            self.cache,
+            job.tier.shading,
+            preparation.enter,
+        )
+
+        def on_progress(stage: str, fraction: float, message: str) -> None:
+            reported = progress_of(job.parts, job.settings, [self.device], stage, fraction=fraction, message=message)
+            job.on_progress(reported)
+
+        try:
+            return preparation.run(build, job.cancelled, on_progress, self.kept, asked)
+        finally:
+            job.warnings += preparation.warnings
+            self._building = preparation.build
+
+
+@dataclass
+class Place:
+    """A device in a render."""
+
+    at: SessionDevice
+    job: Job  # as it is there
+    scene: DeviceScene
+    modules: list[str]  # names of those of its kernels
+    workers: WorkersFor | None = None
+
+    @property
+    def integrators(self) -> list[TileIntegrator]:
+        """The workers there."""
+        return self.workers.integrators if self.workers else []
+
+    def make_workers(self, state: ResumeState) -> None:
+        """Make them for the tiles of `state`."""
+        job, self.workers = self.job, WorkersFor(self.at.kept, self.scene, self.job.scene.frame, self.job.settings)
+        last = state.end == state.policy.sample_count
+        areas = [halves[0].tile.pixel_count for halves in (state.open_tiles if last else state.tiles)]
+        # samples of a pixel in one half: halves are rendered one after the other
+        samples = -(-state.policy.sample_count // job.settings.half_count)
+        made = self.workers.get(areas, samples)
+        job.warnings += made.warnings
+        job.chosen.update(made.chosen)
+        job.path_bytes = made.path_bytes
+
+    def keep_workers(self) -> None:
+        """All that was asked of them is done."""
+        if self.workers:
+            self.workers.keep()

@@ -1,0 +1,1 @@
+"""Renders that several devices share."""

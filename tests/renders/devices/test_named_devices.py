@@ -1,0 +1,37 @@
+"""Whatever a render allocates or launches names its device: Warp's default is one for all threads."""
+
+import pytest
+import warp as wp
+
+from raybatch_addon.core.device import devices
+from raybatch_addon.core.session import Session
+from tests.support import scenes, schedule_scenes
+from tests.support.under_test import DEVICE
+from tests.support.watched_renders import FRAME, SETTINGS
+
+pytestmark = pytest.mark.usefixtures("general_kernels")
+WAYS = {
+    "plain": dict(batching="OFF", error_estimate="ON"),
+    "batched": dict(batching="ON"),
+    "paged": dict(),
+    "adaptive": dict(adaptive_sampling="ON", noise_threshold=0.1, adaptive_samples_min=4),
+    "sorted": dict(ray_sort="ON", hit_sort="ON"),
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_render_never_asks_for_the_default_device(way, monkeypatch):
+    budget = dict(geometry_budget=schedule_scenes.least_budget(DEVICE) + 1000) if way == "paged" else {}
+    session = Session(DEVICE)
+    runtime, asked = type(wp._src.context.runtime), []
+    get_device = runtime.get_device
+
+    def named(self, ident=None):
+        if ident is None and not devices._default_lock._is_owned():
+            asked.append(1)
+            raise AssertionError("no device is named")
+        return get_device(self, ident)
+
+    monkeypatch.setattr(runtime, "get_device", named)
+    assert session.render(scenes.mixed(FRAME), SETTINGS.replace(**WAYS[way], **budget)).complete
+    assert not asked

@@ -1,0 +1,174 @@
+"""Devices of one model that share a render: the film of one of them, bit for bit."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+from raybatch_addon.core import session as session_module
+from raybatch_addon.core.checkpoint.checkpoint import Checkpoint
+from raybatch_addon.core.errors import DeviceError
+from raybatch_addon.core.film import Film
+from raybatch_addon.core.session import Session
+from raybatch_addon.core.session_device import SessionDevice
+from raybatch_addon.core.wavefront.integrator import TileIntegrator
+from raybatch_addon.core.wavefront.render import deal
+from raybatch_addon.core.wavefront.scene.device_scene import DeviceScene
+from raybatch_addon.core.wavefront.tile_state import TileState
+from tests.support import scenes, schedule_scenes
+from tests.support.under_test import DEVICE
+from tests.support.watched_renders import FRAME, SETTINGS, assert_same, stopping
+
+pytestmark = pytest.mark.usefixtures("general_kernels")
+
+COUNT = 3
+WAYS = {
+    "progressive": dict(tile_size=5),
+    "tile first": dict(tile_order="TILE_FIRST", tile_size=7),
+    "halves": dict(error_estimate="ON", tile_size=6),
+    "adaptive": dict(adaptive_sampling="ON", noise_threshold=0.1, adaptive_samples_min=8, sample_count=32, tile_size=6),
+    "rounds": dict(error_target=1e-9, sample_count=16, tile_size=9),
+    "batched": dict(batching="ON", debug_checks="ON", tile_size=8),
+    "paged": dict(debug_checks="ON", tile_size=8),
+}
+
+
+def of_several() -> Session:
+    """A session of `COUNT` devices like the one under test; where there are not so many, it stands for several."""
+    device = wp.get_device(DEVICE)
+    there = [each for each in wp.get_cuda_devices() if device.is_cuda and each.name == device.name] or [device]
+    session = Session(DEVICE)
+    session._at = [SessionDevice(there[i % len(there)]) for i in range(COUNT)]
+    return session
+
+
+@pytest.fixture
+def several(monkeypatch):
+    """The same; each tile lies elsewhere than its next worker, who is another one each time."""
+
+    def move_to(self: TileState, device: wp.Device) -> None:
+        if self.held is not None:
+            self.held = self.held.copied(device)
+        if self.active is not None:
+            self.active = wp.clone(self.active, device=device)
+
+    monkeypatch.setattr(TileState, "move_to", move_to)
+    monkeypatch.setattr(session_module, "SHARED_PATHS_LEAST", 0)
+    monkeypatch.setattr(deal.Deal, "take", lambda self, place: self._waiting.pop(0)[0] if self._waiting else None)
+    session = of_several()
+    yield session
+    session.close()
+
+
+def settings_of(way: str):
+    budget = dict(geometry_budget=schedule_scenes.least_budget(DEVICE) + 1000) if way == "paged" else {}
+    return SETTINGS.replace(**{"thread_count": 1, "sample_count": 12, **WAYS[way], **budget})
+
+
+def assert_same_film(film: Film, expected: Film) -> None:
+    assert film.complete
+    assert np.array_equal(film.counts, expected.counts)
+    assert_same(film.passes, expected.passes)
+    for mine, theirs in zip(film.halves or (), expected.halves or (), strict=True):
+        assert_same(mine.passes, theirs.passes)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_the_film_is_that_of_one_device(session, several, way):
+    settings = settings_of(way)
+    expected = session.render(scenes.mixed(FRAME), settings)
+    for _ in range(2):  # the second with what the first left
+        film = several.render(scenes.mixed(FRAME), settings)
+        assert_same_film(film, expected)
+        assert film.statistics["rays"] == expected.statistics["rays"]
+    assert film.statistics["schedule"]["workers"] == COUNT
+
+
+def test_the_statistics_list_the_devices(several):
+    found = several.render(scenes.mixed(FRAME), settings_of("progressive")).statistics
+    assert [each["alias"] for each in found["devices"]] == [each.alias for each in several.devices]
+    assert found["devices"][0] == found["device"]
+
+
+def test_few_paths_are_not_shared(session, several, monkeypatch):
+    settings = settings_of("progressive")
+    expected = session.render(scenes.mixed(FRAME), settings)
+    monkeypatch.setattr(session_module, "SHARED_PATHS_LEAST", settings.sample_count * FRAME.pixel_count + 1)
+    film = several.render(scenes.mixed(FRAME), settings)
+    assert_same_film(film, expected)
+    assert len(film.statistics["devices"]) == film.statistics["schedule"]["workers"] == 1
+
+
+def test_a_stopped_render_goes_on_with_other_devices(session, several):
+    settings = settings_of("halves")
+    expected = session.render(scenes.mixed(FRAME), settings)
+    for first, second in ((session, several), (several, session)):
+        with stopping(5):
+            film = first.render(scenes.mixed(FRAME), settings)
+        assert not film.complete and film.resume_state
+        assert_same_film(second.render(scenes.mixed(FRAME), settings, resume=film), expected)
+
+
+def test_a_checkpoint_of_one_device_goes_on_with_several(session, several, tmp_path):
+    settings, path = settings_of("progressive"), tmp_path / "film.checkpoint"
+    expected = session.render(scenes.mixed(FRAME), settings)
+    with stopping(5):
+        stopped = session.render(scenes.mixed(FRAME), settings, checkpoint=Checkpoint(path))
+    assert not stopped.complete and path.exists()
+    assert_same_film(several.render(scenes.mixed(FRAME), settings, checkpoint=Checkpoint(path)), expected)
+
+
+def test_what_fails_on_one_device_fails_the_render_and_leaves_the_session_well(session, several, monkeypatch):
+    settings = settings_of("progressive")
+    expected = session.render(scenes.mixed(FRAME), settings)
+    build, begun = DeviceScene.build, []
+
+    def failing(*arguments, **options):
+        begun.append(1)
+        if len(begun) == COUNT:
+            raise DeviceError("the last one has no room")
+        return build(*arguments, **options)
+
+    monkeypatch.setattr(DeviceScene, "build", failing)
+    with pytest.raises(DeviceError, match="the last one has no room"):
+        several.render(scenes.mixed(FRAME), settings)
+    assert_same_film(several.render(scenes.mixed(FRAME), settings), expected)
+
+    render, rendered = TileIntegrator.render, []
+
+    def stopped(self, *arguments, **options):
+        rendered.append(1)
+        if len(rendered) == 5:
+            raise DeviceError("one of them is gone")
+        return render(self, *arguments, **options)
+
+    monkeypatch.setattr(TileIntegrator, "render", stopped)
+    with pytest.raises(DeviceError, match="one of them is gone"):
+        several.render(scenes.mixed(FRAME), settings)
+    assert_same_film(several.render(scenes.mixed(FRAME), settings), expected)
+
+
+def test_a_cancel_while_they_build_ends_all(several, monkeypatch):
+    build = DeviceScene.build
+    begun = []
+
+    def noted(*arguments, **options):
+        begun.append(1)
+        return build(*arguments, **options)
+
+    monkeypatch.setattr(DeviceScene, "build", noted)
+    film = several.render(scenes.mixed(FRAME), settings_of("progressive"), cancelled=lambda: bool(begun))
+    assert not film.complete and film.sample_total == 0
+    assert several.render(scenes.mixed(FRAME), settings_of("progressive")).complete
+
+
+@pytest.mark.parametrize("names", [f"{DEVICE},{DEVICE}", f"{DEVICE}, nothing"])
+def test_names_that_mean_no_devices(names):
+    with pytest.raises(DeviceError, match="twice|there is no device ' nothing'"):
+        Session(names)
+
+
+def test_all_means_every_device_of_the_first_ones_model():
+    found = Session("ALL").devices
+    first = found[0]
+    assert first.alias == ("cuda:0" if wp.get_cuda_devices() else "cpu")
+    assert found == ([each for each in wp.get_cuda_devices() if each.name == first.name] or [first])
