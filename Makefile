@@ -5,6 +5,7 @@
 # make test-all run everything there is on the CPU, for hours, and note it in docs/testing.md; run again, it goes on
 # make test-gpu run what needs no Blender on a CUDA device; PART=1/2 and PART=2/2 run one half each
 # make package  build the Blender extension's zips into dist/
+# make wheel    build the library, RayBatch without Blender, into dist/
 # make repository  put the zips into dist/repository, with the list from which Blender installs and updates them
 # make docs     build the site of the documents into build/docs/site, and check its links
 # make clean    remove what was rendered, built and cached here, but for the environment
@@ -34,7 +35,7 @@ pytest := $(venv_python) -m pytest -n $(TEST_JOBS) --maxprocesses 4 --dist loadf
 # what the environment compiles ahead serves the tests
 check test test-all: export RAYBATCH_KERNEL_CACHE ?= $(CURDIR)/.cache/kernels
 
-.PHONY: help environment render lint format check test test-all test-gpu package repository docs clean
+.PHONY: help environment render lint format check test test-all test-gpu package wheel repository docs clean
 
 help:
 	@sed -n 's/^# //p' Makefile
@@ -85,6 +86,9 @@ test-gpu:
 
 package: environment
 	$(venv_python) scripts/package.py
+
+wheel: environment
+	$(venv_python) scripts/wheel.py
 
 repository: environment
 	$(venv_python) scripts/extension/repository.py --build --blender "$(BLENDER)"

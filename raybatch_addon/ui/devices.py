@@ -94,10 +94,11 @@ def draw_devices(layout, context) -> None:
     column = layout.column(align=True)
     column.use_property_split = False
     own = context.scene.raybatch
-    if sum(each.name.startswith("cuda") for each in device_choices()) < 2:
+    known = device_choices() or ()
+    if sum(each.name.startswith("cuda") for each in known) < 2:
         column.prop(own, CHOICE, expand=True)
         return
-    ticked, there = _ticked(own.device), {each.name for each in device_choices()}
+    ticked, there = _ticked(own.device), {each.name for each in known}
     for each in choices_for(own.device):
         row = column.row(align=True)
         row.prop_enum(own, CHOICE, each.name)
