@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import functools
 import sys
 from pathlib import Path
@@ -13,6 +14,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from lib.command import UsageError, run_command
 from lib.output import OutputFolders, leave
+from rendering.cluster import check_cluster, cluster_session
 from rendering.request import (
     ARCHIVE,
     INTERVAL_DEFAULT,
@@ -118,6 +120,12 @@ def argument_parser() -> argparse.ArgumentParser:
         "--device",
         metavar="DEVICE",
         help="AUTO, cpu, cuda:N, several with commas between, or ALL; the same as --set device=DEVICE",
+    )
+    add(
+        "--cluster",
+        metavar="ADDRESS",
+        help="render on a Dask cluster: the address of its scheduler, as tcp://host:8786, or local:N for N workers on "
+        "this\nmachine (docs/cluster.md)",
     )
     add(
         "--json",
@@ -232,6 +240,7 @@ def request_from(options: argparse.Namespace) -> Request:
         sample_first=parse_sample("--sample-first", options.sample_first),
         camera=options.camera,
         up=options.up,
+        cluster=check_cluster(options.cluster) if options.cluster else "",
         settings_from=(options.settings_from or "").upper(),
         strict=(options.strict or "").upper(),
     )
@@ -262,11 +271,22 @@ def render(request: Request, folders: OutputFolders, standard_output) -> None:
             folders.prepare(Path(target).absolute())
     if not request.source.is_file():
         raise UsageError(f"there is no file {request.source}")
-    if request.kind in (ARCHIVE, NPZ):
-        from rendering.standalone import render_standalone
+    with contextlib.ExitStack() as stack:
+        session = None
+        if request.cluster and request.renders:
+            session = stack.enter_context(cluster_session(request.cluster))
+        if request.kind in (ARCHIVE, NPZ):
+            from rendering.standalone import render_standalone
 
-        render_standalone(request, folders, ProgressBar(), standard_output)
-        return
+            render_standalone(request, folders, ProgressBar(), standard_output, session)
+        else:
+            _render_by_blender(request, folders, standard_output, session)
+
+
+def _render_by_blender(request: Request, folders: OutputFolders, standard_output, session) -> None:
+    """The same by Blender's module; `session` renders instead of one of this process, if it is there."""
+    from rendering.progress import ProgressBar
+
     try:
         import bpy  # noqa: F401
     except ImportError:
@@ -276,6 +296,10 @@ def render(request: Request, folders: OutputFolders, standard_output) -> None:
         ) from None
     from rendering.blender import BlenderRender
 
+    from raybatch_addon.blender import sessions
+
+    if session is not None:
+        sessions.instead = lambda settings: session
     BlenderRender(request, folders, ProgressBar(), standard_output).run()
 
 

@@ -51,6 +51,7 @@ ROOMS = (
     "core/job.py",
     "core/session_device.py",
     "core/session.py",
+    "core/cluster",
     "core/tuning.py",
     "core/live",
     "core/__init__.py",

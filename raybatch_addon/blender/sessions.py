@@ -21,6 +21,9 @@ _LOOK_SECONDS = 0.1
 # Blender ends, or the add-on is switched off: a render that does not end by then keeps what it has [s]
 _CLOSE_SECONDS = 60.0
 
+# What final renders get instead of a session of this Blender, for scripts: something that renders as one
+instead: Callable[[RenderSettings], Session] | None = None
+
 _sessions: dict[str, Session] = {}
 _changed = threading.Condition()
 _is_lent = False  # a session renders one picture at a time, and so do all of them together
@@ -33,7 +36,7 @@ def session_for(settings: RenderSettings, cancelled: Callable[[], bool] = lambda
     `cancelled()`, which is asked while it is not free. Raises `DeviceError` for a device that is not there.
     """
     with _lent_first(cancelled) as is_ours:
-        yield _session_of(settings) if is_ours else None
+        yield (instead or _session_of)(settings) if is_ours else None
 
 
 @contextmanager

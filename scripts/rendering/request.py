@@ -51,6 +51,7 @@ class Request:
     checkpoint: str | None = None
     checkpoint_interval: float = INTERVAL_DEFAULT  # [s]
     sample_first: int = 0
+    cluster: str = ""  # where it is rendered, as --cluster has it; empty: by this process
     camera: str | None = None
     up: str | None = None
     settings_from: str = ""  # CYCLES or EEVEE: take over that engine's settings first

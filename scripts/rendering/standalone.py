@@ -23,6 +23,7 @@ from raybatch_addon.blender.denoise_library import library_for
 from raybatch_addon.blender.denoising import denoise_film, with_guides
 from raybatch_addon.blender.kernel_cache import kernel_cache_folder
 from raybatch_addon.core.checkpoint.checkpoint import Checkpoint
+from raybatch_addon.core.cluster.session import ClusterSession
 from raybatch_addon.core.film import Film
 from raybatch_addon.core.measure.parts import Parts
 from raybatch_addon.core.scene.archive import load_scene, save_scene
@@ -36,8 +37,10 @@ from rendering.request import ARCHIVE, RESOLUTION_DEFAULT, Request
 from rendering.stops import StopRequests
 
 
-def render_standalone(request: Request, folders: OutputFolders, bar: ProgressBar, standard_output) -> None:
-    """Render `request.source`, and write what was asked for; raises `RayBatchError`."""
+def render_standalone(
+    request: Request, folders: OutputFolders, bar: ProgressBar, standard_output, session: ClusterSession | None = None
+) -> None:
+    """Render `request.source`, by `session` if there is one, and write what was asked for; raises `RayBatchError`."""
     if request.settings_from:
         raise UsageError(f"{request.source} holds no settings of other engines; --settings-from is for .blend files")
     if request.frames is not None or request.view_layers:
@@ -67,10 +70,10 @@ def render_standalone(request: Request, folders: OutputFolders, bar: ProgressBar
     denoiser = library_for(settings)
     scene = with_guides(scene, settings)
     parts.enter("start")
-    session = Session(settings.device, settings, kernel_cache_folder())
+    renderer = session or Session(settings.device, settings, kernel_cache_folder())
     try:
         with StopRequests() as stops:
-            film = session.render(
+            film = renderer.render(
                 scene,
                 settings,
                 on_progress=bar.show,
@@ -80,7 +83,7 @@ def render_standalone(request: Request, folders: OutputFolders, bar: ProgressBar
                 checkpoint=checkpoint,
             )
     finally:
-        session.close()
+        renderer.close()
         bar.close()
     if stops.asked() and not film.complete:
         _report(request, film, scene, standard_output)

@@ -41,11 +41,18 @@ class FilmIdentity:
     @staticmethod
     def of(scene: Scene, settings: RenderSettings, device: wp.Device) -> FilmIdentity:
         """The identity of the film of a render that is asked for."""
+        return FilmIdentity.of_device(
+            scene, settings, f"CUDA, {device.name}" if device.is_cuda else f"CPU, {platform.machine()}"
+        )
+
+    @staticmethod
+    def of_device(scene: Scene, settings: RenderSettings, device: str) -> FilmIdentity:
+        """The same, of a device by what is said of it in `device`."""
         frame, record = scene.frame, versions()
         x0, y0, x1, y1 = map(int, frame.region)
         return FilmIdentity(
             versions={name: record[name] for name in _VERSIONS},
-            device=f"CUDA, {device.name}" if device.is_cuda else f"CPU, {platform.machine()}",
+            device=device,
             scene=_scene_parts(scene),
             width=frame.width,
             height=frame.height,

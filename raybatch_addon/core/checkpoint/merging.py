@@ -42,7 +42,7 @@ def merged_films(paths: Sequence[str | Path]) -> KeptFilm:
                 f"{before} and {path} cannot be merged: samples {end} to {begin - 1} are in neither; render them with "
                 f"--sample-first {end} --set sample_count={begin - end}, and name that checkpoint too"
             )
-    return functools.reduce(_joined, (film for _, film in films))
+    return functools.reduce(joined, (film for _, film in films))
 
 
 def range_of(film: KeptFilm) -> Round:
@@ -77,8 +77,8 @@ def _check(path: Path, film: KeptFilm) -> None:
         )
 
 
-def _joined(first: KeptFilm, second: KeptFilm) -> KeptFilm:
-    """The film of both, of which `second` has the later samples."""
+def joined(first: KeptFilm, second: KeptFilm) -> KeptFilm:
+    """The film of both, of which `second` has the samples that follow."""
     count = first.progress.done + second.progress.done
     settings = {**first.identity.settings, "sample_count": count}
     progress = dataclasses.replace(

@@ -74,17 +74,17 @@ class Film:
     @property
     def sums(self) -> ExactSums:
         """Exact sums of all summed channels over the region."""
-        return self._fetched().sums
+        return self.fetched().sums
 
     @property
     def counts(self) -> np.ndarray:
         """Samples of each pixel, int64, shape [region pixels]."""
-        return self._fetched().counts
+        return self.fetched().counts
 
     @property
     def first(self) -> dict[str, np.ndarray]:
         """First-sample passes by name, float32, shape [region pixels * channels]."""
-        return self._fetched().first
+        return self.fetched().first
 
     @property
     def sample_count(self) -> int:
@@ -110,7 +110,7 @@ class Film:
         if self.picture is not None:
             return dict(self.picture)
         means = means_of(self.sums.window, self.sums.wide, self.counts, self.layout.count)
-        return split_passes(self.pass_names, self.layout, means, self._fetched().single(self.pass_names), self.shape)
+        return split_passes(self.pass_names, self.layout, means, self.fetched().single(self.pass_names), self.shape)
 
     @property
     def colors(self) -> np.ndarray:
@@ -149,7 +149,7 @@ class Film:
             return {
                 name: values[bottom : bottom + height, left : left + width] for name, values in self.picture.items()
             }
-        samples = self._fetched().part(self._pixels(x, y, width, height), self._matte_kinds)
+        samples = self.fetched().part(self._pixels(x, y, width, height), self._matte_kinds)
         means = means_of(samples.sums.window, samples.sums.wide, samples.counts, self.layout.count)
         return split_passes(self.pass_names, self.layout, means, samples.single(self.pass_names), (height, width))
 
@@ -174,7 +174,7 @@ class Film:
             region=self.region,
             pass_names=self.pass_names,
             layout=self.layout,
-            samples=self._fetched().add(other._fetched()),
+            samples=self.fetched().add(other.fetched()),
             complete=self.complete and other.complete,
             statistics=dict(self.statistics),
         )
@@ -191,7 +191,7 @@ class Film:
             return FinishedTile.sum_of(*(half.tile_on(rectangle, device) for half in self.halves))
         return FinishedTile.on_device(
             rectangle,
-            self._fetched().part(self._pixels(*rectangle), self._matte_kinds),
+            self.fetched().part(self._pixels(*rectangle), self._matte_kinds),
             self.layout,
             self.pass_names,
             device,
@@ -215,11 +215,11 @@ class Film:
         for name, pixels in self.part(tile.x, tile.y, tile.width, tile.height).items():
             pixels[:] = tile.passes[name]
 
-    def _fetched(self) -> HostSamples:
+    def fetched(self) -> HostSamples:
         """All samples in the host's memory."""
         if self.halves:
             if self._sum is None:
-                self._sum = self.halves[0]._fetched().add(self.halves[1]._fetched())
+                self._sum = self.halves[0].fetched().add(self.halves[1].fetched())
             return self._sum
         while self.tiles:
             # a tile that cannot be fetched stays, and is asked for again

@@ -38,15 +38,31 @@ _CLASSES: dict[str, type] = {
 def save_scene(path: str | Path, scene: description.Scene, settings: RenderSettings) -> None:
     """Write `scene` and `settings` to `path`, whole or not at all; raises `SceneError` if it cannot be written."""
     path = Path(path)
-    arrays: dict[str, Any] = {}
-    members: dict[int, str] = {}  # member by id of an array, so that one used twice is written once
-    tree = {"scene": _encode(scene, arrays, members), "settings": _encode(settings, arrays, members)}
+    tree, arrays = record_of_scene(scene, settings)
+    members: dict[str, Any] = dict(arrays)
     header = json.dumps({"format": FORMAT, "version": VERSION, **tree}, ensure_ascii=False)
     try:
         with whole_file(path) as temporary, temporary.open("wb") as file:
-            np.savez(file, header=np.frombuffer(header.encode(), np.uint8), **arrays)
+            np.savez(file, header=np.frombuffer(header.encode(), np.uint8), **members)
     except OSError as error:
         raise SceneError(f"the scene cannot be written to {path}: {error.strerror or error}") from error
+
+
+def record_of_scene(scene: description.Scene, settings: RenderSettings) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """`scene` and `settings` as JSON has them, and the arrays that this names."""
+    arrays: dict[str, np.ndarray] = {}
+    members: dict[int, str] = {}  # member by id of an array, so that one used twice is written once
+    return {"scene": _encode(scene, arrays, members), "settings": _encode(settings, arrays, members)}, arrays
+
+
+def scene_of_record(record: dict[str, Any], arrays: dict[str, np.ndarray]) -> tuple[description.Scene, RenderSettings]:
+    """The inverse of `record_of_scene`; raises `KeyError`, `TypeError`, `ValueError` or `AttributeError` for what is
+    none.
+    """
+    scene, settings = _decode(record["scene"], arrays), _decode(record["settings"], arrays)
+    if not isinstance(scene, description.Scene) or not isinstance(settings, RenderSettings):
+        raise ValueError("it does not hold a scene and its settings")
+    return scene, settings
 
 
 def load_scene(path: str | Path) -> tuple[description.Scene, RenderSettings]:
@@ -71,7 +87,7 @@ def load_scene(path: str | Path) -> tuple[description.Scene, RenderSettings]:
                     f"version {VERSION}: save the scene again with this RayBatch"
                 )
             arrays = {name: freeze(archive[name]) for name in archive.files if name != "header"}
-        scene, settings = _decode(header["scene"], arrays), _decode(header["settings"], arrays)
+        return scene_of_record(header, arrays)
     except FileNotFoundError:
         raise SceneError(f"there is no file {path}") from None
     except (
@@ -87,9 +103,6 @@ def load_scene(path: str | Path) -> tuple[description.Scene, RenderSettings]:
         if isinstance(error, SceneError):
             raise
         raise SceneError(f"{path} cannot be read as a saved scene; is it damaged or cut short? ({error})") from error
-    if not isinstance(scene, description.Scene) or not isinstance(settings, RenderSettings):
-        raise SceneError(f"{path} does not hold a scene and its settings")
-    return scene, settings
 
 
 def _encode(value: Any, arrays: dict[str, np.ndarray], members: dict[int, str]) -> Any:

@@ -138,7 +138,7 @@ def test_many_that_come_one_after_the_other_are_joined():
         mesh = replace(TWIN, positions=freeze(TWIN.positions * np.float32(1 + 0.01 * i)))
         stage.parts[f"new {i}"] = mesh, scenes.translation(0.3 * i - 2, -2, 0.5, 0.1)
         assert render(stage.scene()) == (1, 0) or not render.follows
-    assert len(render.session._cache._last.shows.groups) <= 8 or not render.follows
+    assert len(render.session._at[0].cache._last.shows.groups) <= 8 or not render.follows
 
 
 def test_meshes_that_may_change_are_built_anew():

@@ -1,0 +1,1 @@
+"""Renders shared by many processes and machines: ranges of samples as tasks of a Dask cluster."""

@@ -1,0 +1,27 @@
+"""How work is asked for: by name, of whatever the library is called where the worker is. Sent as it stands here."""
+
+
+def call(name, *arguments):
+    """What the function `name` of `work` returns there, or for an error that is RayBatch's own its `error`, the name of
+    its kind, and its `text`: its class may be unknown to who asked.
+    """
+    import importlib
+
+    for library in ("raybatch", "raybatch_addon.core"):
+        try:
+            work = importlib.import_module(f"{library}.cluster.work")
+        except ModuleNotFoundError as error:
+            if not f"{library}.cluster.work".startswith(str(error.name)):
+                raise
+            continue
+        errors = importlib.import_module(f"{library}.errors")
+        try:
+            return getattr(work, name)(*arguments)
+        except errors.RayBatchError as error:
+            return {"error": type(error).__name__, "text": " ".join(str(error).split())}
+    raise ModuleNotFoundError("RayBatch is not installed on this worker: pip install raybatch[cluster]")
+
+
+async def drop(address, dask_scheduler=None):
+    """Have the scheduler go on without the worker at `address`."""
+    await dask_scheduler.remove_worker(address=address, stimulus_id="raybatch-silent", close=False)

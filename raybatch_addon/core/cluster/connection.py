@@ -1,0 +1,186 @@
+"""The connection to a Dask cluster: its workers by machine, work sent to them, and a scheduler that comes back."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import time
+import uuid
+from collections.abc import Callable, Iterable
+from concurrent.futures import CancelledError
+from dataclasses import dataclass
+from typing import Any
+
+from ..errors import RayBatchError
+from . import calls
+
+# Workers render one range at a time for each unit of this resource, which they are started with
+RESOURCE = "raybatch"
+# How long to wait for a scheduler, at first and where it was lost [s]
+CONNECT_SECONDS = 30.0
+_LOOK_SECONDS = 0.5  # how often workers are looked at
+_TOLD_SECONDS = 10.0  # words come at once, or their worker has ended
+_SECURE_SECONDS = 60.0  # a film that is not copied by then is lost with its worker, if that ends
+# A worker of which the scheduler heard nothing for so long is taken to be gone [s]
+SILENT_SECONDS = 30.0
+PACKAGES = "pip install 'raybatch[cluster]'"
+
+
+class ClusterError(RayBatchError):
+    """Why a cluster does not render."""
+
+
+@dataclass(frozen=True)
+class Worker:
+    """A process that works."""
+
+    address: str
+    host: str  # of its machine
+    slots: int  # ranges that it renders at once
+
+
+class Connection:
+    """A client of a cluster, made anew where the scheduler was lost."""
+
+    def __init__(
+        self, address: str, report: Callable[[str], None] = lambda text: None, seconds: float = CONNECT_SECONDS
+    ):
+        """`address` is the scheduler's, as tcp://host:8786 or tls://host:8786; certificates are those of Dask's own
+        configuration. `report` gets notes. Raises `ClusterError`.
+        """
+        try:
+            import cloudpickle
+            import distributed
+        except ImportError as error:
+            raise ClusterError(f"Dask is not installed ({error}): {PACKAGES}") from None
+        cloudpickle.register_pickle_by_value(calls)  # workers may know the library by another name
+        self._distributed, self._address, self._report, self._seconds = distributed, address, report, seconds
+        self._client: Any = None
+        self._looked, self._workers = float("-inf"), list[Worker]()
+        self._dropped: set[str] = set()  # addresses of workers that were silent
+        self._names = itertools.count()
+        self._own = uuid.uuid4().hex[:8]
+        self.generation = 0  # how often a scheduler was found: futures are of one of them
+        self._connect()
+
+    @property
+    def dashboard(self) -> str:
+        """The address of Dask's own pages on what goes on; empty where there are none."""
+        return str(getattr(self._client, "dashboard_link", "") or "")
+
+    def close(self) -> None:
+        """Leave the cluster, which goes on."""
+        self._drop()
+
+    def _connect(self) -> None:
+        try:
+            self._client = self._distributed.Client(
+                self._address, timeout=self._seconds, set_as_default=False, direct_to_workers=False
+            )
+        except (OSError, TimeoutError, ValueError) as error:
+            raise ClusterError(
+                f"there is no scheduler at {self._address} ({type(error).__name__}: {error}); start one with `dask "
+                "scheduler`, or name its address"
+            ) from error
+        self.generation += 1
+        self._looked = float("-inf")
+
+    def _drop(self) -> None:
+        client, self._client = self._client, None
+        if client is not None:
+            with contextlib.suppress(Exception):  # it may be gone
+                client.close(timeout=5)
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether the scheduler is gone, with all that was asked of it."""
+        return self._client is None or self._client.status != "running"
+
+    def reconnect(self, cancelled: Callable[[], bool]) -> bool:
+        """Wait for the scheduler to come back; False once `cancelled()`. Raises `ClusterError` after a while."""
+        self._report(f"the scheduler at {self._address} is lost; waiting for it to come back")
+        self._drop()
+        end = time.monotonic() + max(self._seconds, CONNECT_SECONDS)
+        seconds, self._seconds = self._seconds, 2.0
+        try:
+            while not cancelled():
+                try:
+                    self._connect()
+                    return True
+                except ClusterError:
+                    if time.monotonic() > end:
+                        raise
+                    time.sleep(0.2)
+            return False
+        finally:
+            self._seconds = seconds
+
+    def workers(self) -> list[Worker]:
+        """Those that there are, as of less than a second ago."""
+        if time.monotonic() - self._looked >= _LOOK_SECONDS:
+            self._looked = time.monotonic()
+            with contextlib.suppress(OSError, TimeoutError, RuntimeError, ValueError):
+                found = self._client.scheduler_info(n_workers=-1)["workers"]
+                silent = {name for name, each in found.items() if time.time() - each["last_seen"] > SILENT_SECONDS}
+                for address in silent - self._dropped:
+                    self._report(f"the worker {address} is silent; what it was asked for is rendered elsewhere")
+                    self._dropped.add(address)
+                    self._client.run_on_scheduler(calls.drop, address)
+                self._workers = [
+                    Worker(address, str(each["host"]), int(each["resources"].get(RESOURCE, 0)))
+                    for address, each in found.items()
+                    if address not in silent
+                ]
+        return self._workers
+
+    def submit(self, name: str, *arguments: Any, workers: Iterable[str] | None = None, priority: int = 0, slot=False):
+        """The future of `work`'s function `name`, on one of `workers` (addresses or hosts; default: any). With `slot`
+        it takes a worker's slot.
+        """
+        return self._client.submit(
+            calls.call,
+            name,
+            *arguments,
+            key=f"raybatch-{name}-{self._own}-{next(self._names)}",
+            workers=None if workers is None else sorted(workers),
+            allow_other_workers=False,
+            priority=priority,
+            resources={RESOURCE: 1} if slot else None,
+            pure=False,
+        )
+
+    def send(self, value: Any, worker: str):
+        """The future of `value`, in the memory of `worker`."""
+        return self._client.scatter(value, workers=[worker], hash=False, direct=False)
+
+    def secure(self, future: Any) -> None:
+        """Have two workers hold what `future` is of, where there are two: the end of one then loses nothing. Waits."""
+        if len(self.workers()) > 1:
+            with contextlib.suppress(Exception):  # the film may be lost with its worker, and is rendered anew
+                self._client.sync(self._client._replicate, [future], n=2, callback_timeout=_SECURE_SECONDS)
+
+    def cancel(self, futures: list[Any]) -> None:
+        """Nobody wants them any more."""
+        if futures and not self.is_lost:
+            with contextlib.suppress(OSError, TimeoutError, RuntimeError):
+                self._client.cancel(futures, force=True)
+
+
+def why_lost(future: Any) -> str:
+    """Why a future has no result."""
+    if future.status != "error":
+        return "it was lost with its worker"
+    error = future.exception()
+    if type(error).__name__ == "KilledWorker":
+        return "the workers that rendered it ended, one after the other; do they run out of memory?"
+    return f"{type(error).__name__}: {error}"
+
+
+def told(future: Any) -> Any:
+    """The small result of a future that is done, or why there is none, as `calls.call` has errors."""
+    if future.status != "finished":
+        return {"text": why_lost(future)}
+    try:
+        return future.result(timeout=_TOLD_SECONDS)
+    except (TimeoutError, CancelledError, OSError):  # its worker ended meanwhile, and Dask would have it made again
+        return {"text": "it was lost with its worker"}

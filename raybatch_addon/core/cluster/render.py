@@ -1,0 +1,288 @@
+"""One render on a cluster: ranges of samples go out as tasks, their films are merged there, and one film comes back."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+from . import films
+from .connection import ClusterError, Connection, Worker, told, why_lost
+from .keeping import ClusterKeeper
+from .parts import SceneParts
+from .ranges import MergeTree, RangeDeal, SampleRange
+from .staging import Staging
+
+# How often a picture of what is there is asked for [s]
+PICTURE_SECONDS = 5.0
+# Tasks that fail, but not by the end of their worker, are rendered so many times
+_TRIES = 3
+
+
+@dataclass(frozen=True)
+class ClusterJob:
+    """What is to be rendered."""
+
+    parts: SceneParts
+    first: int  # sample
+    end: int
+
+
+@dataclass
+class _Task:
+    """A range that is being rendered, by one worker or several."""
+
+    samples: SampleRange
+    begun: float  # [s]
+    futures: list[Any]
+    hosts: frozenset[str]  # that may render it
+    done: Any = None  # the first future that is there
+    about: Any = None  # the future of who rendered it
+
+
+@dataclass
+class _Film:
+    """A film that is there, or being merged."""
+
+    samples: SampleRange
+    rank: int
+    future: Any
+    hosts: tuple[frozenset[str], ...]  # that may render it again, for each task that it is of
+    merged_of: tuple[_Film, ...] = ()  # stay until it is safe
+    secured: Future | None = None  # is done when two workers have it: else the end of one loses it
+
+
+class ClusterRender:
+    """The state of one render; `step` goes on with it, and never waits."""
+
+    def __init__(self, connection: Connection, job: ClusterJob, keeper: ClusterKeeper):
+        self._connection, self._job, self._keeper = connection, job, keeper
+        self._helpers = ThreadPoolExecutor(max_workers=4, thread_name_prefix="RayBatch cluster")
+        self._failures: dict[SampleRange, int] = {}
+        self._pictures: list[dict[str, Any]] = []
+        self.workers: list[Worker] = []
+        self.tasks_again = 0  # tasks that were rendered again, or by two
+        self.rays = 0  # that were traced
+        self._begin()
+
+    def _begin(self) -> None:
+        """What is not here is to be rendered, by a cluster that knows of nothing."""
+        self._generation = self._connection.generation
+        self._staging = Staging(self._connection, self._job.parts)
+        self._deal = RangeDeal(self._keeper.end, self._job.end)
+        self._again: list[SampleRange] = []
+        self._tasks: list[_Task] = []
+        self._unsafe: list[_Film] = []
+        self._films: dict[SampleRange, _Film] = {}  # those that are safe, and wait to be merged
+        self._tree = MergeTree()
+        self._fetched: tuple[_Film, Future] | None = None
+        self._picture: Any = None
+        self._pictured_at = time.monotonic()
+
+    def close(self) -> None:
+        """Nothing of it is wanted any more."""
+        films = [each.future for each in (*self._films.values(), *self._unsafe)]
+        self._connection.cancel([*films, *(each for task in self._tasks for each in task.futures)])
+        self._helpers.shutdown(wait=False, cancel_futures=True)
+
+    # --- one step
+
+    @property
+    def is_over(self) -> bool:
+        """Whether all samples are here."""
+        return self._keeper.end >= self._job.end
+
+    @property
+    def is_rendering(self) -> bool:
+        """Whether a worker renders, or did."""
+        return bool(self._tasks or self._films or self._unsafe)
+
+    @property
+    def samples_done(self) -> float:
+        """Samples of every pixel that are rendered, with what those under way should have come to."""
+        done = self._deal.dealt - self._job.first - sum(each.count for each in self._again)
+        now, a_sample = time.monotonic(), self._deal.sample_seconds
+        for task in self._tasks:
+            share = 0.0 if a_sample is None else (now - task.begun) / (a_sample * task.samples.count)
+            done -= task.samples.count * (1.0 - min(share, 0.95))
+        return done
+
+    def step(self, cancelled: Callable[[], bool]) -> None:
+        """See what came, and ask for what comes next; raises `ClusterError`."""
+        if self._connection.is_lost:
+            if self._connection.reconnect(cancelled):
+                self._begin()
+            return
+        self.workers = self._connection.workers()
+        self._staging.step(self.workers)
+        self._see_lost({each.host for each in self.workers})
+        self._see_tasks()
+        self._see_films()
+        self._issue()
+        self._merge()
+        self._fetch()
+        self._see_picture()
+
+    def _issue(self) -> None:
+        ready = [each for each in self.workers if each.slots and each.host in self._staging.ready]
+        slots, running = sum(each.slots for each in ready), sum(len(task.futures) for task in self._tasks)
+        hosts, now = frozenset(each.host for each in ready), time.monotonic()
+        while running < slots:
+            samples = self._again.pop(0) if self._again else self._deal.next(slots)
+            if samples is None:
+                break
+            self._tasks.append(_Task(samples, now, [self._asked(samples, hosts)], hosts))
+            running += 1
+        for task in sorted(self._tasks, key=lambda each: each.begun):
+            # nothing else is left: who is late is helped
+            if running < slots and len(task.futures) == 1 and self._deal.is_late(task.samples, now - task.begun):
+                task.futures.append(self._asked(task.samples, hosts))
+                task.hosts |= hosts
+                self.tasks_again += 1
+                running += 1
+
+    def _asked(self, samples: SampleRange, hosts: frozenset[str]) -> Any:
+        parts = self._job.parts
+        what = parts.recipe, parts.digest, samples.first, samples.count
+        return self._connection.submit("render", *what, workers=hosts, slot=True)
+
+    # --- what came
+
+    def _see_lost(self, hosts: set[str]) -> None:
+        """Have rendered again what is lost with all machines that could: Dask waits for them."""
+        if not hosts:
+            return
+        for task in [*self._tasks]:
+            if not task.hosts & hosts:
+                self._tasks.remove(task)
+                self._render_again(task.samples, task.futures)
+        fetched = [self._fetched[0]] if self._fetched else []
+        for film in [*self._unsafe, *self._films.values(), *fetched]:
+            if not film.future.done() and not all(each & hosts for each in film.hosts):
+                if film in self._unsafe:
+                    self._unsafe.remove(film)
+                elif film in fetched:
+                    self._fetched = None
+                else:
+                    del self._films[film.samples]
+                    self._tree.remove(film.samples)
+                self._render_again(film.samples, [film.future])
+
+    def _render_again(self, samples: SampleRange, futures: list[Any]) -> None:
+        self._connection.cancel(futures)
+        self.tasks_again += 1
+        self._again += self._deal.cut(samples)
+
+    def _see_tasks(self) -> None:
+        for task in [*self._tasks]:
+            if task.about is None:
+                task.done = next((each for each in task.futures if each.done()), None)
+                if task.done is None:
+                    continue
+                if task.done.status == "finished":
+                    task.about = self._connection.submit("shares_of", task.done, priority=50)
+                else:
+                    self._fail(task, why_lost(task.done))
+            elif task.about.done():
+                found = told(task.about)
+                if isinstance(found, dict):
+                    self._fail(task, found["text"], found.get("error", ""))
+                else:
+                    self._finish(task, found[0])
+
+    def _finish(self, task: _Task, share: dict[str, Any]) -> None:
+        self._keeper.check(share)
+        self._tasks.remove(task)
+        self._connection.cancel([each for each in task.futures if each is not task.done])
+        self._deal.note(task.samples, share["seconds_rendering"])
+        self.rays += share["rays"]["total"]
+        self._unsafe.append(_Film(task.samples, 0, task.done, (task.hosts,)))
+
+    def _fail(self, task: _Task, why: str, kind: str = "") -> None:
+        """Have it rendered again; raises `ClusterError` where that would not help."""
+        self._tasks.remove(task)
+        if kind == "PartMissing":
+            self._staging.again()
+        elif kind and kind != "DamagedFilm":
+            raise ClusterError(why)  # scene, settings or device are at fault
+        self._failures[task.samples] = self._failures.get(task.samples, 0) + 1
+        if self._failures[task.samples] >= _TRIES:
+            raise ClusterError(f"samples {task.samples.first} to {task.samples.end - 1} could not be rendered: {why}")
+        self._render_again(task.samples, task.futures)
+
+    def _see_films(self) -> None:
+        """Films that two workers have may be merged, and their own parts go."""
+        for film in [*self._unsafe]:
+            if film.secured is None and film.future.done():
+                if film.future.status != "finished":
+                    raise ClusterError(f"films could not be merged: {why_lost(film.future)}")
+                film.secured = self._helpers.submit(self._connection.secure, film.future)
+            elif film.secured is not None and film.secured.done():
+                self._unsafe.remove(film)
+                film.merged_of = ()
+                self._films[film.samples] = film
+                self._tree.add(film.samples, film.rank)
+
+    def _merge(self) -> None:
+        while (pair := self._tree.take_pair(self._is_dealt and not self._tasks and not self._unsafe)) is not None:
+            earlier, later, rank = pair
+            parts = self._films.pop(earlier), self._films.pop(later)
+            future = self._connection.submit("merge", *(each.future for each in parts), priority=60)
+            hosts = parts[0].hosts + parts[1].hosts
+            self._unsafe.append(_Film(SampleRange(earlier.first, later.end), rank, future, hosts, parts))
+
+    @property
+    def _is_dealt(self) -> bool:
+        return self._deal.is_dealt and not self._again
+
+    def _fetch(self) -> None:
+        """Bring the film of the next samples here, at the end or where it is time to keep it."""
+        if self._fetched is None:
+            first = next((each for each in self._films if each.first == self._keeper.end), None)
+            is_last = self._is_dealt and not self._tasks and not self._unsafe
+            if first is not None and (is_last or self._keeper.is_due()):
+                self._tree.remove(first)
+                film = self._films.pop(first)
+                self._fetched = film, self._helpers.submit(lambda: films.received_film(_sound(film.future.result())))
+        elif self._fetched[1].done():
+            film, received = self._fetched
+            samples, self._fetched = film.samples, None
+            try:
+                self._keeper.add(*received.result())
+            except films.DamagedFilm as error:
+                self._failures[samples] = self._failures.get(samples, 0) + 1
+                if self._failures[samples] >= _TRIES:
+                    raise ClusterError(str(error)) from error
+                self._render_again(samples, [film.future])
+            except (OSError, CancelledError):  # its workers or the scheduler went meanwhile
+                if not self._connection.is_lost:
+                    self._render_again(samples, [film.future])
+
+    # --- pictures
+
+    def _see_picture(self) -> None:
+        if self._picture is None:
+            if self._films and time.monotonic() - self._pictured_at >= PICTURE_SECONDS:
+                largest = max(self._films, key=lambda each: each.count)
+                self._picture = self._connection.submit("picture", self._films[largest].future, priority=40)
+        elif self._picture.done():
+            if self._picture.status == "finished":
+                future = self._picture
+                self._helpers.submit(lambda: self._pictures.append(future.result()))
+            self._picture, self._pictured_at = None, time.monotonic()
+
+    def take_pictures(self) -> list[dict[str, Any]]:
+        """Passes by name of the whole frame that came since the last call, each better than those before, or so."""
+        taken, self._pictures = self._pictures, []
+        return [each for each in taken if "error" not in each]
+
+
+def _sound(sent: dict[str, Any]) -> dict[str, Any]:
+    """What was sent, if it is no error; raises `ClusterError`, or `DamagedFilm`."""
+    if sent.get("error") == films.DamagedFilm.__name__:
+        raise films.DamagedFilm(sent["text"])
+    if "error" in sent:
+        raise ClusterError(sent["text"])
+    return sent

@@ -1,0 +1,312 @@
+"""Renders on a cluster of two processes: the film of one, bit for bit, whatever happens to them."""
+
+import contextlib
+import itertools
+import os
+import random
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+
+distributed = pytest.importorskip("distributed")
+
+from raybatch_addon.core.checkpoint.checkpoint import Checkpoint
+from raybatch_addon.core.checkpoint.file import CheckpointError
+from raybatch_addon.core.cluster import connection as connection_module
+from raybatch_addon.core.cluster import films
+from raybatch_addon.core.cluster.connection import ClusterError, Connection
+from raybatch_addon.core.cluster.local import local_cluster
+from raybatch_addon.core.cluster.ranges import RangeDeal
+from raybatch_addon.core.cluster.session import ClusterSession
+from raybatch_addon.core.errors import SettingsError
+from raybatch_addon.core.settings.settings import RenderSettings
+from tests.support import scenes
+from tests.support.under_test import DEVICE
+from tests.support.watched_renders import FRAME, PASSES, assert_same
+
+pytestmark = pytest.mark.usefixtures("general_kernels")
+
+SETTINGS = RenderSettings(sample_count=48, bounce_max=5)
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory):
+    """A scheduler with two workers on this machine, which come back when they are killed."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RAYBATCH_PART_FOLDER", str(tmp_path_factory.mktemp("parts")))
+        with local_cluster(2, os.environ.get("RAYBATCH_KERNEL_CACHE")) as found:
+            yield found
+
+
+@pytest.fixture
+def connection(address):
+    made = Connection(address)
+    wait_for(lambda: len(made.workers()) == 2)
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def expected(session):
+    return session.render(scenes.mixed(FRAME), SETTINGS)
+
+
+@pytest.fixture
+def long_tasks(monkeypatch):
+    """Every range takes as long as it would in a larger picture, and there are some twenty of them."""
+    monkeypatch.setattr(RangeDeal, "next", dealt_evenly)
+
+
+def dealt_evenly(self, workers):
+    from raybatch_addon.core.cluster.ranges import SampleRange
+
+    if self.is_dealt:
+        return None
+    samples = SampleRange(self._next, min(self._next + 2, self.end))
+    self._next = samples.end
+    return samples
+
+
+def wait_for(condition, seconds=60.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "it did not come"
+        time.sleep(0.05)
+
+
+def pids(connection):
+    return connection._client.run(os.getpid)
+
+
+def render(connection, **options):
+    return ClusterSession(connection).render(scenes.mixed(FRAME), options.pop("settings", SETTINGS), **options)
+
+
+def assert_same_film(film, expected):
+    assert film.complete
+    assert np.array_equal(film.counts, expected.counts)
+    assert_same(film.passes, expected.passes)
+
+
+def test_the_film_is_that_of_one_process(connection, expected):
+    tiles, fractions = [], []
+    film = render(connection, on_tile=tiles.append, on_progress=lambda each: fractions.append(each.fraction))
+    assert_same_film(film, expected)
+    assert (tiles[-1].width, tiles[-1].height) == (FRAME.width, FRAME.height)
+    assert_same(tiles[-1].passes, expected.passes)
+    assert fractions[-1] == 1.0 and max(fractions) <= 1.0
+    shares = film.statistics["cluster"]["shares"]
+    assert [(a["end"], b["first"]) for a, b in itertools.pairwise(shares)] == [(b["first"],) * 2 for b in shares[1:]]
+    assert shares[0]["first"] == 0 and shares[-1]["end"] == SETTINGS.sample_count
+    assert film.statistics["rays"] == expected.statistics["rays"]
+    assert film.statistics["samples"] == expected.statistics["samples"]
+
+
+def test_halves_and_a_later_range(connection, session):
+    settings = SETTINGS.replace(error_estimate="ON", sample_count=10)
+    film = render(connection, settings=settings, sample_first=16)
+    whole = session.render(scenes.mixed(FRAME), settings, sample_first=16)
+    assert_same_film(film, whole)
+    for mine, theirs in zip(film.halves, whole.halves, strict=True):
+        assert_same(mine.passes, theirs.passes)
+
+
+def test_what_a_machine_has_is_not_sent_again(connection, expected, monkeypatch):
+    sent = []
+    send = Connection.send
+    monkeypatch.setattr(Connection, "send", lambda self, value, worker: sent.append(value) or send(self, value, worker))
+    render(connection)  # by the first test, or now
+    sent.clear()
+    assert_same_film(render(connection), expected)
+    assert sent == []
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_workers_that_are_killed_lose_nothing(connection, expected, long_tasks, seed):
+    rng, over, killed = random.Random(seed), threading.Event(), []
+
+    def kill():
+        while not over.wait(rng.uniform(0.1, 1.0)):
+            with contextlib.suppress(Exception):
+                address, pid = rng.choice(sorted(pids(connection).items()))
+                os.kill(pid, signal.SIGKILL)
+                killed.append(address)
+            if len(killed) == 2:
+                return
+
+    thread = threading.Thread(target=kill)
+    thread.start()
+    try:
+        film = render(connection)
+    finally:
+        over.set()
+        thread.join()
+    assert_same_film(film, expected)
+    wait_for(lambda: len(connection.workers()) == 2)
+
+
+def test_a_worker_that_is_stopped_is_left_out(connection, expected, long_tasks, monkeypatch):
+    monkeypatch.setattr(connection_module, "SILENT_SECONDS", 3.0)
+    notes = []
+    connection._report = notes.append
+    stopped = min(pids(connection).values())
+    os.kill(stopped, signal.SIGSTOP)
+    try:
+        assert_same_film(render(connection), expected)
+        assert [each for each in notes if "is silent" in each]
+    finally:
+        with contextlib.suppress(ProcessLookupError):  # its nanny ended it
+            os.kill(stopped, signal.SIGKILL)
+    wait_for(lambda: len(connection.workers()) == 2)
+
+
+@pytest.mark.parametrize("name", ["render", "merge"])
+def test_a_film_that_is_damaged_is_rendered_again(connection, expected, long_tasks, monkeypatch, name):
+    submit, spoiled = Connection.submit, []
+
+    def spoil(sent):
+        sent["halves"][0]["window"] = sent["halves"][0]["window"] ^ np.uint32(4)
+        return sent
+
+    def submit_spoiled(self, function, *arguments, **options):
+        future = submit(self, function, *arguments, **options)
+        if function == name and not spoiled:
+            spoiled.append(future)
+            return self._client.submit(spoil, future, pure=False)
+        return future
+
+    monkeypatch.setattr(Connection, "submit", submit_spoiled)
+    film = render(connection)
+    assert_same_film(film, expected)
+    assert spoiled and film.statistics["cluster"]["tasks_again"] >= 1
+
+
+def test_a_film_that_is_always_damaged_is_an_error(connection, monkeypatch):
+    monkeypatch.setattr(films, "received_film", lambda sent: films._raise())
+    monkeypatch.setattr(films, "_raise", damaged, raising=False)
+    with pytest.raises(films.RayBatchError, match="damaged on its way"):
+        render(connection)
+
+
+def damaged():
+    raise films.DamagedFilm("a film was damaged on its way")
+
+
+def test_a_cancelled_render_keeps_a_checkpoint_that_any_render_goes_on_with(
+    connection, session, expected, long_tasks, tmp_path
+):
+    path, asked = tmp_path / "film.checkpoint", []
+
+    def cancelled():
+        asked.append(1)
+        return path.exists() and len(asked) > 10
+
+    film = render(connection, checkpoint=Checkpoint(path, 0.1), cancelled=cancelled)
+    assert not film.complete and 0 < film.sample_count < SETTINGS.sample_count
+    copy = path.with_name("copy.checkpoint")
+    copy.write_bytes(path.read_bytes())
+    notes = []
+    cluster = ClusterSession(connection, notes.append)
+    assert_same_film(cluster.render(scenes.mixed(FRAME), SETTINGS, checkpoint=Checkpoint(path)), expected)
+    assert f"{film.sample_count} of 48 samples are there" in notes[0]
+    assert_same_film(session.render(scenes.mixed(FRAME), SETTINGS, checkpoint=Checkpoint(copy)), expected)
+    more = SETTINGS.replace(seed=4)
+    with pytest.raises(CheckpointError, match="it was begun with seed = 0"):
+        cluster.render(scenes.mixed(FRAME), more, checkpoint=Checkpoint(path))
+
+
+def test_what_cannot_be_kept_is_an_error(connection, monkeypatch):
+    other = scenes.mixed(scenes.Frame(9, 7, passes=PASSES))
+    connection._client.run(make_full)
+    try:
+        mesh = scenes.sphere(segments=11, rings=7)
+        scene = scenes.scene([(mesh, scenes.IDENTITY, scenes.diffuse())], frame=other.frame, world=1.0)
+        with pytest.raises(ClusterError, match="127.0.0.1 cannot keep the scene: .*No space left"):
+            ClusterSession(connection).render(scene, SETTINGS)
+    finally:
+        connection._client.run(make_room)
+
+
+def make_full():
+    from raybatch_addon.core.cluster import store
+
+    def full(self, size):
+        raise OSError(28, "No space left on device")
+
+    store.PartStore._kept, store.PartStore._make_room = store.PartStore._make_room, full
+
+
+def make_room():
+    from raybatch_addon.core.cluster import store
+
+    store.PartStore._make_room = store.PartStore._kept
+
+
+@pytest.mark.parametrize(
+    "change",
+    [dict(adaptive_sampling="ON"), dict(error_target=0.1), dict(time_limit=3.0)],
+    ids=lambda each: next(iter(each)),
+)
+def test_settings_that_need_all_samples_in_one_place(connection, change):
+    with pytest.raises(SettingsError, match=f"{next(iter(change))} needs all samples in one place"):
+        render(connection, settings=SETTINGS.replace(**change))
+
+
+def test_no_scheduler_is_an_error():
+    with pytest.raises(ClusterError, match="there is no scheduler at tcp://127.0.0.1:9"):
+        Connection("tcp://127.0.0.1:9", seconds=0.5)
+
+
+def test_no_dask_is_an_error(monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(ClusterError, match=r"Dask is not installed .*pip install 'raybatch\[cluster\]'"):
+        Connection("tcp://127.0.0.1:9")
+
+
+@contextlib.contextmanager
+def program(name, *arguments, **environment):
+    """A program of Dask's, which is killed at the end."""
+    command = [sys.executable, "-m", f"distributed.cli.dask_{name}", *arguments]
+    with subprocess.Popen(
+        command, env={**os.environ, **environment}, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def test_a_scheduler_that_is_killed_and_comes_back(expected, long_tasks, tmp_path):
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    address, path, notes = f"tcp://127.0.0.1:{port}", tmp_path / "film.checkpoint", []
+    named = "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"
+    working = address, "--nthreads", "2", "--resources", "raybatch=1", "--no-dashboard", "--no-nanny"
+    environment = {"RAYBATCH_DEVICE": DEVICE, "RAYBATCH_PART_FOLDER": str(tmp_path / "parts")}
+    with (
+        contextlib.ExitStack() as second,
+        program("scheduler", *named) as scheduler,
+        program("worker", *working, **environment),
+    ):
+        connection = Connection(address, notes.append)
+
+        def on_progress(_progress):
+            if path.exists() and scheduler.poll() is None:
+                scheduler.kill()
+                scheduler.wait()
+                second.enter_context(program("scheduler", *named))
+                second.enter_context(program("worker", *working, **environment))
+
+        film = render(connection, checkpoint=Checkpoint(path, 0.2), on_progress=on_progress)
+        connection.close()
+    assert_same_film(film, expected)
+    assert [each for each in notes if "is lost; waiting for it to come back" in each]
+    shares = film.statistics["cluster"]["shares"]
+    assert [each["end"] for each in shares[:-1]] == [each["first"] for each in shares[1:]]

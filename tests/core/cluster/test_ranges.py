@@ -1,0 +1,112 @@
+"""Ranges of samples: each is dealt once, small at first and at the end, and films are merged in a tree."""
+
+import itertools
+import random
+
+import pytest
+
+from raybatch_addon.core.cluster.ranges import (
+    LEAST_SECONDS,
+    STRAGGLER_SECONDS,
+    TASK_SECONDS,
+    MergeTree,
+    RangeDeal,
+    SampleRange,
+)
+
+
+def dealt_by_workers(total, speeds):
+    """Ranges in the order in which they were dealt, to workers that take so many seconds a sample, and when each worker
+    was through [s].
+    """
+    deal, free, dealt = RangeDeal(100, 100 + total), [0.0] * len(speeds), []
+    running: list[tuple[float, int, SampleRange]] = []
+    while True:
+        for i in range(len(speeds)):
+            if all(each[1] != i for each in running) and (samples := deal.next(len(speeds))) is not None:
+                dealt.append(samples)
+                free[i] += samples.count * speeds[i]
+                running.append((free[i], i, samples))
+        if not running:
+            return dealt, free
+        running.sort()
+        now, i, samples = running.pop(0)
+        deal.note(samples, samples.count * speeds[i])
+        idle = [j for j in range(len(speeds)) if all(each[1] != j for each in running)]
+        for j in idle:
+            free[j] = max(free[j], now) if not deal.is_dealt else free[j]
+
+
+@pytest.mark.parametrize("speeds", [[0.1], [0.1] * 7, [0.02, 0.1, 0.3], [3.0, 1.0]])
+@pytest.mark.parametrize("total", [1, 2, 37, 4096])
+def test_all_samples_are_dealt_once_and_in_order(total, speeds):
+    dealt, _ = dealt_by_workers(total, speeds)
+    assert dealt[0].first == 100 and dealt[-1].end == 100 + total
+    assert all(a.end == b.first and a.count > 0 for a, b in itertools.pairwise(dealt))
+
+
+@pytest.mark.parametrize("speeds", [[0.1] * 4, [0.05, 0.1, 0.2, 0.4]])
+def test_unlike_workers_come_to_the_end_together(speeds):
+    total = 8000
+    _, free = dealt_by_workers(total, speeds)
+    best = total / sum(1.0 / each for each in speeds)
+    assert max(free) < 1.03 * best
+
+
+def test_tasks_take_about_as_long_as_they_should():
+    dealt, _ = dealt_by_workers(10_000, [0.1] * 2)
+    usual = sorted(each.count for each in dealt)[-3] * 0.1
+    assert 0.5 * TASK_SECONDS <= usual <= TASK_SECONDS
+    assert all(each.count * 0.1 >= 0.9 * LEAST_SECONDS for each in dealt[2:-2])
+
+
+def test_who_is_late_is_told_from_who_has_much_to_do():
+    deal = RangeDeal(0, 1000)
+    assert not deal.is_late(SampleRange(0, 10), 1e9)  # nobody knows what a sample takes
+    deal.note(SampleRange(0, 10), 10.0)
+    assert not deal.is_late(SampleRange(10, 20), 15.0) and deal.is_late(SampleRange(10, 20), 21.0)
+    deal.note(SampleRange(10, 10_010), 0.01)
+    assert not deal.is_late(SampleRange(20, 21), 0.9 * STRAGGLER_SECONDS)
+
+
+def test_what_is_rendered_again_is_cut_into_tasks():
+    deal = RangeDeal(0, 1000)
+    assert deal.cut(SampleRange(3, 40)) == [SampleRange(3, 40)]
+    deal.note(SampleRange(0, 10), TASK_SECONDS)
+    assert deal.cut(SampleRange(3, 27)) == [SampleRange(3, 13), SampleRange(13, 23), SampleRange(23, 27)]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_neighbours_are_merged_to_one_film_and_none_often(seed):
+    rng = random.Random(seed)
+    cuts = sorted({0, 1000, *rng.sample(range(1, 1000), 63)})
+    ranges = [SampleRange(a, b) for a, b in itertools.pairwise(cuts)]
+    tree, merges = MergeTree(), dict.fromkeys(ranges, 0)
+    there: dict[SampleRange, list[SampleRange]] = {}
+
+    def merge(flush):
+        while (pair := tree.take_pair(flush)) is not None:
+            earlier, later, rank = pair
+            assert earlier.end == later.first
+            parts = there.pop(earlier) + there.pop(later)
+            for each in parts:
+                merges[each] += 1
+            both = SampleRange(earlier.first, later.end)
+            there[both] = parts
+            tree.add(both, rank)
+
+    for each in rng.sample(ranges, len(ranges)):
+        there[each] = [each]
+        tree.add(each)
+        merge(False)
+    merge(True)
+    assert list(there) == [SampleRange(0, 1000)] and there[SampleRange(0, 1000)] == ranges
+    assert max(merges.values()) <= 11  # 64 films in any order; 6 where they come in theirs
+
+
+def test_what_is_fetched_is_not_merged():
+    tree = MergeTree()
+    tree.add(SampleRange(0, 4))
+    tree.add(SampleRange(4, 8))
+    tree.remove(SampleRange(0, 4))
+    assert tree.take_pair(flush=True) is None
