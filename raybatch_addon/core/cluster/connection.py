@@ -21,7 +21,7 @@ CONNECT_SECONDS = 30.0
 _LOOK_SECONDS = 0.5  # how often workers are looked at
 _TOLD_SECONDS = 10.0  # words come at once, or their worker has ended
 _SECURE_SECONDS = 60.0  # a film that is not copied by then is lost with its worker, if that ends
-# A worker of which the scheduler heard nothing for so long is taken to be gone [s]
+# A worker of which the scheduler heard nothing for so long, but of others, is taken to be gone [s]
 SILENT_SECONDS = 30.0
 PACKAGES = "pip install 'raybatch[cluster]'"
 
@@ -60,7 +60,6 @@ class Connection:
         self._dropped: set[str] = set()  # addresses of workers that were silent
         self._names = itertools.count()
         self._own = uuid.uuid4().hex[:8]
-        self.generation = 0  # how often a scheduler was found: futures are of one of them
         self._connect()
 
     @property
@@ -82,7 +81,6 @@ class Connection:
                 f"there is no scheduler at {self._address} ({type(error).__name__}: {error}); start one with `dask "
                 "scheduler`, or name its address"
             ) from error
-        self.generation += 1
         self._looked = float("-inf")
 
     def _drop(self) -> None:
@@ -121,7 +119,8 @@ class Connection:
             self._looked = time.monotonic()
             with contextlib.suppress(OSError, TimeoutError, RuntimeError, ValueError):
                 found = self._client.scheduler_info(n_workers=-1)["workers"]
-                silent = {name for name, each in found.items() if time.time() - each["last_seen"] > SILENT_SECONDS}
+                newest = max((each["last_seen"] for each in found.values()), default=0.0)  # by the scheduler's clock
+                silent = {name for name, each in found.items() if newest - each["last_seen"] > SILENT_SECONDS}
                 for address in silent - self._dropped:
                     self._report(f"the worker {address} is silent; what it was asked for is rendered elsewhere")
                     self._dropped.add(address)

@@ -69,7 +69,6 @@ class ClusterRender:
 
     def _begin(self) -> None:
         """What is not here is to be rendered, by a cluster that knows of nothing."""
-        self._generation = self._connection.generation
         self._staging = Staging(self._connection, self._job.parts)
         self._deal = RangeDeal(self._keeper.end, self._job.end)
         self._again: list[SampleRange] = []
@@ -111,10 +110,16 @@ class ClusterRender:
 
     def step(self, cancelled: Callable[[], bool]) -> None:
         """See what came, and ask for what comes next; raises `ClusterError`."""
-        if self._connection.is_lost:
-            if self._connection.reconnect(cancelled):
-                self._begin()
-            return
+        try:
+            if not self._connection.is_lost:
+                self._step()
+        except (ClusterError, OSError, RuntimeError, ValueError):
+            if not self._connection.is_lost:  # else it is for that, and nothing that was asked of it will come
+                raise
+        if self._connection.is_lost and self._connection.reconnect(cancelled):
+            self._begin()
+
+    def _step(self) -> None:
         self.workers = self._connection.workers()
         self._staging.step(self.workers)
         self._see_lost({each.host for each in self.workers})
