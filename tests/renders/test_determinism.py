@@ -214,7 +214,7 @@ def test_trees_of_the_other_layout_give_the_same_film(session, reference, monkey
         pytest.skip("devices build without splits")
     build = scene_cache.build_scene_tree
     monkeypatch.setattr(scene_cache, "build_scene_tree", functools.partial(build, on_device=on_device))
-    monkeypatch.setattr(session, "layout", Layout.QUANTISED)
+    monkeypatch.setattr(session._at[0], "layout", Layout.QUANTISED)
     film = session.render(scenes.mixed(), SETTINGS.replace(spatial_splits=splits))
     assert film.statistics["tree"]["layout"] == "quantised"
     assert_same(film.passes, reference)

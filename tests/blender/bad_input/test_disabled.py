@@ -81,7 +81,7 @@ def look(progress):
 frame.progress_listeners.append(look)
 if sys.argv[2] == "build":  # which a fast machine reports nothing of
     import time
-    from raybatch_addon.core.session import DeviceScene
+    from raybatch_addon.core.wavefront.scene.device_scene import DeviceScene
     build = DeviceScene.build
     def slow_build(*arguments, **options):
         if finals.are_under_way():  # the viewport builds too

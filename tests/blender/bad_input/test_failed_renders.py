@@ -79,7 +79,7 @@ def fail(*_args, **_options):
 
 
 PLACES = {
-    "build": (core_session.DeviceScene, "build"),
+    "build": (device_scene.DeviceScene, "build"),
     "compile": (prepare, "load_kernels"),
     "worker": (integrator.TileIntegrator, "_shade"),
     "film": (integrator, "FinishedTile"),

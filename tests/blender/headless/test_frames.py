@@ -110,7 +110,7 @@ def test_the_thread_that_writes_holds_no_film(blend, tmp_path, resumed):
 
     out, films, alive, threads = tmp_path / "out", [], [], []
     writing = threading.Event()
-    fetched, written = Film._fetched, deliveries_module().write_film
+    fetched, written = Film.fetched, deliveries_module().write_film
 
     def listen(_layer, _scene, film):
         films.append(weakref.ref(film))
@@ -134,7 +134,7 @@ def test_the_thread_that_writes_holds_no_film(blend, tmp_path, resumed):
     if resumed:
         assert call_script("render.py", *arguments, "--set", "sample_count=2").returncode == 0
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Film, "_fetched", fetch)
+        patch.setattr(Film, "fetched", fetch)
         patch.setattr(deliveries_module(), "write_film", write)
         patch.setattr(frame, "begin_frame", begin)
         patch.setattr(frame, "film_listeners", [listen])
