@@ -19,7 +19,6 @@ from .bvh.node import Layout
 from .checkpoint.checkpoint import Checkpoint
 from .device.devices import find_devices, is_alike, load_kernels, start_warp, warp_cache_folder
 from .device.failures import named_failures, names_failures
-from .displacement.displaced import is_displaced
 from .film import Film
 from .film.tile import FinishedTile
 from .job import Job, progress_of
@@ -207,11 +206,7 @@ class Session:
         first = self._at[0]
         whole = scene if first.kept.is_sound else checked_scene(scene)
         first.kept.is_sound = first.kept.is_known and whole is scene
-        displaced: Scene | None = whole
-        if not is_displaced(whole):
-            displaced = first.moved(whole, settings)
-        else:
-            displaced = first.displaced(whole, settings, parts, on_progress, cancelled)
+        displaced = first.displaced(whole, settings, parts, on_progress, cancelled)
         parts.enter("check")
         was_cancelled = displaced is None
         checked = prepared_scene(whole if displaced is None else displaced, settings)

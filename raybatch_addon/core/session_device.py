@@ -17,6 +17,7 @@ from .bvh.build.scene_tree import layout_for
 from .bvh.memory import GeometrySize
 from .device.compiler import CompileStoppedError
 from .device.devices import free_memory
+from .displacement.displaced import is_displaced
 from .film.tile import add_integers_kernel
 from .job import Job, progress_of
 from .measure.parts import Parts
@@ -70,12 +71,15 @@ class SessionDevice:
         on_progress: Callable[[Progress], None],
         cancelled: Callable[[], bool],
     ) -> Scene | None:
-        """`scene`, whose materials move vertices, with these where they are moved to; None when cancelled meanwhile."""
+        """`scene` with its vertices where its materials move them; None when cancelled meanwhile."""
+        move = functools.partial(self.cache.displaced, scene, self.device, mover(settings.kernel_tier))
+        if not is_displaced(scene):
+            return move()
         before, closed, waited = self._building, self.tier_changes.is_closed, WaitedParts(parts)
 
         def displace() -> Scene:
             waited.enter("displacement")
-            return self.moved(scene, settings)
+            return move()
 
         done = begin_aside(lambda: once_free(before, displace, closed, waited))
         self._building = end_of(done)
@@ -90,10 +94,6 @@ class SessionDevice:
             waited.give_up()
             if done.done():
                 self._building = None
-
-    def moved(self, scene: Scene, settings: RenderSettings) -> Scene:
-        """`scene` with its vertices where its materials move them, at once."""
-        return self.cache.displaced(scene, self.device, mover(settings.kernel_tier))
 
     def prepare(self, job: Job, page_folder: Path) -> tuple[DeviceScene | None, list[str]]:
         """The scene on the device, and the names of the modules of kernels; nothing when cancelled meanwhile."""

@@ -45,8 +45,7 @@ class RAYBATCH_OT_share_device(bpy.types.Operator):
 
     def execute(self, context):
         properties = context.scene.raybatch
-        ticked = _ticked(properties.device)
-        ticked ^= {self.name}
+        ticked = _ticked(properties.device) ^ {self.name}
         order = [each.name for each in device_choices() or () if each.name in ticked]
         properties.device = ",".join(order) or "AUTO"
         return {"FINISHED"}
@@ -86,7 +85,8 @@ def device_choice_property():
 
 def draw_devices(layout, context) -> None:
     """A button for each device; where they are not known yet it says so until they are."""
-    if device_choices() is None:
+    known = device_choices()
+    if known is None:
         layout.label(text="Looking for devices", icon="SORTTIME")
         if not bpy.app.timers.is_registered(_show_again):
             bpy.app.timers.register(_show_again, first_interval=_LOOK_SECONDS)
@@ -94,7 +94,6 @@ def draw_devices(layout, context) -> None:
     column = layout.column(align=True)
     column.use_property_split = False
     own = context.scene.raybatch
-    known = device_choices() or ()
     if sum(each.name.startswith("cuda") for each in known) < 2:
         column.prop(own, CHOICE, expand=True)
         return

@@ -54,9 +54,7 @@ def range_of(film: KeptFilm) -> Round:
 def save_merged(path: str | Path, film: KeptFilm) -> None:
     """Write `film` to `path`, whole or not at all; raises `CheckpointError`."""
     part = film.identity.part
-    x0, y0, x1, y1 = part.region
-    whole = (x0, y0, x1 - x0, y1 - y0)
-    arrays = (samples_as_arrays(part, [TileSamples(whole, samples)]) for samples in film.halves)
+    arrays = (samples_as_arrays(part, [TileSamples(part.rectangle, samples)]) for samples in film.halves)
     try:
         write_kept(Path(path), film.identity, film.progress, arrays)
     except OSError as error:

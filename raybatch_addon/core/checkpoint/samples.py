@@ -32,6 +32,12 @@ class FilmPart:
     layout: ChannelLayout
 
     @property
+    def rectangle(self) -> tuple[int, int, int, int]:
+        """x, y, width, height of the region [pixels]."""
+        x0, y0, x1, y1 = self.region
+        return x0, y0, x1 - x0, y1 - y0
+
+    @property
     def pixel_count(self) -> int:
         """Pixels of the region."""
         x0, y0, x1, y1 = self.region

@@ -25,11 +25,10 @@ class DamagedFilm(RayBatchError):
 
 def kept_of(film: Film, identity: FilmIdentity, sample_first: int, sample_order: str) -> KeptFilm:
     """The complete `film` of samples from `sample_first` on, as checkpoints have films."""
-    x0, y0, x1, y1 = identity.region
     count = identity.settings["sample_count"]
     halves = film.halves or (film,)
     progress = KeptProgress(
-        tiles=((x0, y0, x1 - x0, y1 - y0),),
+        tiles=(identity.part.rectangle,),
         items_begun=((0,) * len(halves),),
         sample_first=sample_first,
         sample_order=sample_order,
@@ -47,20 +46,16 @@ def kept_of(film: Film, identity: FilmIdentity, sample_first: int, sample_order:
 def sent_film(film: KeptFilm, shares: list[dict[str, Any]]) -> Sent:
     """`film` as it travels; `shares` say who rendered which samples."""
     part = film.identity.part
-    x0, y0, x1, y1 = part.region
-    whole = (x0, y0, x1 - x0, y1 - y0)
     progress, _ = film.progress.record()
     header = json.dumps({"film": film.identity.record(), "progress": progress, "shares": shares})
-    halves = [samples_as_arrays(part, [TileSamples(whole, samples)]) for samples in film.halves]
+    halves = [samples_as_arrays(part, [TileSamples(part.rectangle, samples)]) for samples in film.halves]
     return {"header": header, "halves": halves, "digest": _digest(header, halves)}
 
 
 def received_film(sent: Sent) -> tuple[KeptFilm, list[dict[str, Any]]]:
     """The inverse of `sent_film`; raises `DamagedFilm`."""
+    header = _header(sent)
     try:
-        if _digest(sent["header"], sent["halves"]) != sent["digest"]:
-            raise DamagedFilm("a film was damaged on its way")
-        header = json.loads(sent["header"])
         identity = FilmIdentity.of_record(header["film"])
         progress = KeptProgress.of_record(header["progress"], {}, identity.part)
         halves = tuple(samples_of_arrays(identity.part, arrays) for arrays in sent["halves"])
@@ -77,6 +72,21 @@ def merged(first: Sent, second: Sent) -> Sent:
     if reason := film.identity.why_not(other.identity):
         raise CheckpointError(f"films of two workers cannot be merged: {reason}")
     return sent_film(joined(film, other), shares + others)
+
+
+def sent_shares(sent: Sent) -> list[dict[str, Any]]:
+    """Who rendered which of its samples; raises `DamagedFilm`."""
+    return _header(sent)["shares"]
+
+
+def _header(sent: Sent) -> dict[str, Any]:
+    """What is said of a film, if that and its arrays are what was sent; raises `DamagedFilm`."""
+    try:
+        if _digest(sent["header"], sent["halves"]) != sent["digest"]:
+            raise DamagedFilm("a film was damaged on its way")
+        return json.loads(sent["header"])
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise DamagedFilm(f"a film that was sent is none: {error}") from error
 
 
 def _digest(header: str, halves: list[dict[str, Any]]) -> str:

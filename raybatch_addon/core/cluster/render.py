@@ -212,10 +212,14 @@ class ClusterRender:
             self._staging.again()
         elif kind and kind != "DamagedFilm":
             raise ClusterError(why)  # scene, settings or device are at fault
-        self._failures[task.samples] = self._failures.get(task.samples, 0) + 1
-        if self._failures[task.samples] >= _TRIES:
-            raise ClusterError(f"samples {task.samples.first} to {task.samples.end - 1} could not be rendered: {why}")
+        self._count_failure(task.samples, why)
         self._render_again(task.samples, task.futures)
+
+    def _count_failure(self, samples: SampleRange, why: str) -> None:
+        """Raises `ClusterError` where `samples` failed too often."""
+        self._failures[samples] = self._failures.get(samples, 0) + 1
+        if self._failures[samples] >= _TRIES:
+            raise ClusterError(f"samples {samples.first} to {samples.end - 1} could not be rendered: {why}")
 
     def _see_films(self) -> None:
         """Films that two workers have may be merged, and their own parts go."""
@@ -257,9 +261,7 @@ class ClusterRender:
             try:
                 self._keeper.add(*received.result())
             except films.DamagedFilm as error:
-                self._failures[samples] = self._failures.get(samples, 0) + 1
-                if self._failures[samples] >= _TRIES:
-                    raise ClusterError(str(error)) from error
+                self._count_failure(samples, str(error))
                 self._render_again(samples, [film.future])
             except (OSError, CancelledError):  # its workers or the scheduler went meanwhile
                 if not self._connection.is_lost:

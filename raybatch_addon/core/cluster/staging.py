@@ -27,7 +27,6 @@ class Staging:
         self._sent: dict[Bundle, Any] = {}  # those in the memory of some worker
         self._failures: dict[str, int] = {}  # by host
         self.ready: set[str] = set()  # hosts that have all
-        self.sent_bytes = 0
 
     def again(self) -> None:
         """A part is not on some machine after all: all are asked anew."""
@@ -67,7 +66,6 @@ class Staging:
             if bundle not in self._sent:  # else it goes from the worker that has it
                 arrays = {digest: self._parts.arrays[digest] for digest in bundle}
                 self._sent[bundle] = self._connection.send(arrays, address)
-                self.sent_bytes += sum(array.nbytes for array in arrays.values())
             self._sending[host, bundle] = address, self._submit("put", self._sent[bundle], worker=address)
         if not left and not any(each == host for each, _ in self._sending):
             self._lacking.pop(host, None)

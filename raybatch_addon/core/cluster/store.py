@@ -40,21 +40,24 @@ class PartStore:
                 lacking.append(digest)
         return lacking
 
-    def put(self, digest: str, array: np.ndarray) -> None:
-        """Keep `array`; raises `PartMissing` where it is another than `digest` says, `StoreError` where it has no
-        room.
+    def put(self, arrays: dict[str, np.ndarray]) -> None:
+        """Keep `arrays`, by their digests; raises `PartMissing` where one is another than its digest says, `StoreError`
+        where they have no room.
         """
-        if part_digest(array) != digest:
-            raise PartMissing(f"part {digest} was damaged on its way")
-        path = self._path(digest)
-        if not path.exists():
-            try:
-                self._folder.mkdir(parents=True, exist_ok=True)
-                self._make_room(array.nbytes)
-                with whole_file(path) as temporary, temporary.open("wb") as file:
+        for digest, array in arrays.items():
+            if part_digest(array) != digest:
+                raise PartMissing(f"part {digest} was damaged on its way")
+        lacking = {digest: array for digest, array in arrays.items() if not self._path(digest).exists()}
+        if not lacking:
+            return
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            self._make_room(sum(array.nbytes for array in lacking.values()))
+            for digest, array in lacking.items():
+                with whole_file(self._path(digest)) as temporary, temporary.open("wb") as file:
                     np.lib.format.write_array(file, np.ascontiguousarray(array), allow_pickle=False)
-            except OSError as error:
-                raise StoreError(f"{self._folder} cannot keep a part: {error.strerror or error}") from error
+        except OSError as error:
+            raise StoreError(f"{self._folder} cannot keep a part: {error.strerror or error}") from error
 
     def load(self, digest: str) -> np.ndarray:
         """The array, which lies in the file as long as it is read from there; raises `PartMissing`."""

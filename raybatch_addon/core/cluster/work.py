@@ -49,8 +49,7 @@ def lacks(digests: list[str]) -> list[str]:
 
 def put(arrays: dict[str, np.ndarray]) -> int:
     """Keep parts here, by their digests; how many there were."""
-    for digest, array in arrays.items():
-        part_store().put(digest, array)
+    part_store().put(arrays)
     return len(arrays)
 
 
@@ -84,7 +83,7 @@ def render(recipe: str, digest: str, first: int, count: int) -> films.Sent:
 
 def shares_of(sent: films.Sent) -> Any:
     """Who rendered which of its samples, or the error that it is instead; raises `DamagedFilm`."""
-    return sent if "error" in sent else films.received_film(sent)[1]
+    return sent if "error" in sent else films.sent_shares(sent)
 
 
 def merge(first: films.Sent, second: films.Sent) -> films.Sent:
@@ -102,11 +101,10 @@ def _scene(recipe: str, digest: str) -> tuple[Scene, RenderSettings]:
         while len(_scenes) >= _SCENES_KEPT:
             del _scenes[next(iter(_scenes))]
         scene, settings = scene_of(recipe, part_store().load)
-        device = os.environ.get(WORKER_DEVICE) or "AUTO"
         threads = os.environ.get(WORKER_THREADS) or "0"
         if not threads.isdecimal():
             raise RayBatchError(f"{WORKER_THREADS} is {threads!r}; set it to a number of threads, or not at all")
-        _scenes[digest] = scene, settings.replace(device=device, thread_count=int(threads))
+        _scenes[digest] = scene, settings.replace(thread_count=int(threads))
     return _scenes[digest]
 
 

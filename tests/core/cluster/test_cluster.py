@@ -188,13 +188,12 @@ def test_a_film_that_is_damaged_is_rendered_again(connection, expected, long_tas
 
 
 def test_a_film_that_is_always_damaged_is_an_error(connection, monkeypatch):
-    monkeypatch.setattr(films, "received_film", lambda sent: films._raise())
-    monkeypatch.setattr(films, "_raise", damaged, raising=False)
+    monkeypatch.setattr(films, "received_film", damaged)
     with pytest.raises(films.RayBatchError, match="damaged on its way"):
         render(connection)
 
 
-def damaged():
+def damaged(_sent):
     raise films.DamagedFilm("a film was damaged on its way")
 
 

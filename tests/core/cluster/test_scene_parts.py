@@ -24,8 +24,7 @@ def test_a_scene_comes_back_from_its_parts(tmp_path):
     scene = scenes.mixed(FRAME)
     parts, kept = parts_of(scene, SETTINGS), PartStore(tmp_path)
     assert sorted(parts.arrays) == digests_in(parts.recipe) == kept.lacks(digests_in(parts.recipe))
-    for digest, array in parts.arrays.items():
-        kept.put(digest, array)
+    kept.put(parts.arrays)
     assert kept.lacks(sorted(parts.arrays)) == []
     found, settings = scene_of(parts.recipe, kept.load)
     assert settings == SETTINGS and digest_of_value(found) == digest_of_value(scene)
@@ -53,10 +52,10 @@ def test_parts_that_are_damaged_are_sent_again(tmp_path):
     kept, array = PartStore(tmp_path), np.arange(1000.0)
     digest = part_digest(array)
     with pytest.raises(PartMissing, match="damaged on its way"):
-        kept.put(digest, array + 1)
+        kept.put({digest: array + 1})
     with pytest.raises(PartMissing, match="cannot be read"):
         kept.load(digest)
-    kept.put(digest, array)
+    kept.put({digest: array})
     (path,) = tmp_path.iterdir()
     data = bytearray(path.read_bytes())
     data[-5] ^= 1
@@ -64,7 +63,7 @@ def test_parts_that_are_damaged_are_sent_again(tmp_path):
     with pytest.raises(PartMissing, match="is damaged"):
         kept.load(digest)
     assert kept.lacks([digest]) == [digest]
-    kept.put(digest, array)
+    kept.put({digest: array})
     assert np.array_equal(kept.load(digest), array)
 
 
@@ -74,7 +73,7 @@ def test_a_full_disk_is_told(tmp_path, monkeypatch):
 
     monkeypatch.setattr(store.np.lib.format, "write_array", full)
     with pytest.raises(StoreError, match="cannot keep a part: No space left on device"):
-        PartStore(tmp_path).put(part_digest(np.arange(3)), np.arange(3))
+        PartStore(tmp_path).put({part_digest(np.arange(3)): np.arange(3)})
     assert not [*tmp_path.iterdir()]
 
 
@@ -83,7 +82,7 @@ def test_what_was_not_asked_for_for_longest_makes_room(tmp_path):
     kept = PartStore(tmp_path, kept_bytes=3 * 8200)
     digests = [part_digest(each) for each in arrays]
     for i, (digest, array) in enumerate(zip(digests, arrays, strict=True)):
-        kept.put(digest, array)
+        kept.put({digest: array})
         store.os.utime(tmp_path / f"{digest}.npy", (i, i))
     assert kept.lacks(digests) == digests[:2]
 
