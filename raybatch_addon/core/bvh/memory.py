@@ -14,6 +14,7 @@ import numpy as np
 import warp as wp
 
 from ..device.devices import free_memory, total_memory
+from ..device.failures import check_device
 from ..errors import OutOfMemoryError, SceneError
 from ..scene.description import Mesh, Scene
 from ..scene.linking import RAY_BITS
@@ -123,6 +124,7 @@ def check_memory(size: GeometrySize, layout: Layout, device: wp.Device, all_of_i
     needed = size.needed(layout, device)
     there = (total_memory(device) or needed) if all_of_it else free_memory(device)
     if needed > there:
+        check_device(device)
         raise _out_of_memory(size, needed, device, f"{_gigabytes(there)} {'in all' if all_of_it else 'free'}")
 
 
@@ -137,6 +139,7 @@ def explained_memory_errors(size: GeometrySize, layout: Layout, device: wp.Devic
         # Warp has no class of its own for it
         if isinstance(error, RuntimeError) and not str(error).startswith("Failed to allocate"):
             raise
+        check_device(device)
         raise _out_of_memory(
             size, size.needed(layout, device), device, f"{_gigabytes(free_memory(device))} free"
         ) from error

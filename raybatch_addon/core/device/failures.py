@@ -52,14 +52,28 @@ def named_failures(device: wp.Device) -> Iterator[None]:
             raise
         if _NO_MEMORY in text.lower():
             where = "cpu" if "'cpu'" in text else device.alias
+            check_device(device)
             raise OutOfMemoryError(
                 f"{where} ran out of memory: {text}; close other programs, lower tile_size or ray_count, or render on "
                 "another device"
             ) from error
         if any(each in text.lower() for each in _STOPPED):
-            remedy = "restart the program" if device.is_cuda else "try again"
-            raise DeviceError(f"{device.alias} stopped: {text}; {remedy}, or render on another device") from error
+            raise _stopped(device, text) from error
         raise
+
+
+def check_device(device: wp.Device) -> None:
+    """Raise a `DeviceError` if `device` has stopped: then it has no memory either, and says so first."""
+    if device.is_cuda and not device.is_capturing:
+        try:
+            wp.synchronize_device(device)
+        except RuntimeError as error:
+            raise _stopped(device, " ".join(str(error).split())) from error
+
+
+def _stopped(device: wp.Device, text: str) -> DeviceError:
+    remedy = "restart the program" if device.is_cuda else "try again"
+    return DeviceError(f"{device.alias} stopped: {text}; {remedy}, or render on another device")
 
 
 def _is_of_warp(error: BaseException) -> bool:

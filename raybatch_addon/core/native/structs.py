@@ -77,13 +77,28 @@ def arrays_in(value: Any) -> dict[int, int]:
     return {address: size for each in inner for address, size in arrays_in(each).items()}
 
 
+def copied_to(array: wp.array, device: wp.Device) -> wp.array:
+    """A copy of `array` on `device`.
+
+    Warp copies on the stream of `device`, which knows nothing of another device's: here it waits for what that one was
+    told before, and that one waits for the copy before it overwrites or frees anything.
+    """
+    source = array.device
+    if not (source.is_cuda and device.is_cuda) or source == device:
+        return wp.clone(array, device=device)
+    device.stream.wait_event(source.stream.record_event())
+    made = wp.clone(array, device=device)
+    source.stream.wait_event(device.stream.record_event())
+    return made
+
+
 def struct_on(value: Any, device: wp.Device) -> Any:
     """One instance of a Warp struct with copies on `device` of all arrays in it, and in structs of it."""
     made = value._cls()
     for name in value._cls.vars:
         each = getattr(value, name)
         if isinstance(each, wp.array):
-            each = wp.clone(each, device=device)
+            each = copied_to(each, device)
         elif hasattr(each, "_cls"):
             each = struct_on(each, device)
         setattr(made, name, each)

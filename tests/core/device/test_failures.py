@@ -1,5 +1,6 @@
 """A device that fails at any launch or allocation: the error names it, and the session renders on."""
 
+import contextlib
 import subprocess
 import sys
 
@@ -166,8 +167,9 @@ def test_a_device_without_memory_is_named():
     session = Session(DEVICE)
     expected = render(session)
     taken = []
-    for share in (0.9, 0.9, 0.9, 0.9):
-        taken.append(wp.empty(int(device.free_memory * share) // 128, dtype=wp.mat44d, device=device))
+    with contextlib.suppress(RuntimeError):  # others may take of it meanwhile
+        for share in (0.9, 0.9, 0.9, 0.9):
+            taken.append(wp.empty(int(device.free_memory * share) // 128, dtype=wp.mat44d, device=device))
     other = Session(DEVICE)
     with pytest.raises(OutOfMemoryError, match=DEVICE):
         render(other)

@@ -8,6 +8,7 @@ from raybatch_addon.core import session as session_module
 from raybatch_addon.core.checkpoint.checkpoint import Checkpoint
 from raybatch_addon.core.errors import DeviceError
 from raybatch_addon.core.film import Film
+from raybatch_addon.core.native.structs import copied_to
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.session_device import SessionDevice
 from raybatch_addon.core.wavefront.integrator import TileIntegrator
@@ -49,7 +50,7 @@ def several(monkeypatch):
         if self.held is not None:
             self.held = self.held.copied(device)
         if self.active is not None:
-            self.active = wp.clone(self.active, device=device)
+            self.active = copied_to(self.active, device)
 
     monkeypatch.setattr(TileState, "move_to", move_to)
     monkeypatch.setattr(session_module, "SHARED_PATHS_LEAST", 0)

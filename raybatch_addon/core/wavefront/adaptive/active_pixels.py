@@ -12,6 +12,7 @@ import warp as wp
 from ...device.kernel import KERNEL_OPTIONS
 from ...film import Film
 from ...film.tile import FinishedTile
+from ...native.structs import copied_to
 from ..scheduler import Rectangle
 from ..stages.generate import pixel_in_blocks
 from .noise import NoisePart, row_sums_kernel, sample_noise_kernel, stop_kernel
@@ -57,7 +58,7 @@ class HalfPictures:
     def on(self, device: wp.Device) -> HalfPictures:
         """These on `device`, where they are or copied."""
         colors, counts = (
-            tuple(each if each.device == device else wp.clone(each, device=device) for each in arrays)
+            tuple(each if each.device == device else copied_to(each, device) for each in arrays)
             for arrays in (self.colors, self.counts)
         )
         return HalfPictures(self.rectangle, colors, counts)

@@ -118,7 +118,7 @@ def single(time: float):
 
 def opened(layout: Layout) -> Session:
     session = Session(DEVICE, SETTINGS)
-    session.layout = layout
+    session._at[0].layout = layout
     return session
 
 
