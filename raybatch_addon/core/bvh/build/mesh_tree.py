@@ -314,6 +314,6 @@ class MeshTrees:
         if mesh.level_first is None:
             words = mesh.nodes.numpy().view(self.layout.node_type).reshape(-1, self.layout.node_words)
             return node_levels(words, device)
-        return NodeLevels(
-            wp.array(np.arange(mesh.node_count, dtype=np.int32), dtype=int, device=device), mesh.level_first
-        )
+        numbers = wp.empty(mesh.node_count, dtype=int, device=device)
+        wp.utils.array_scan(wp.full(mesh.node_count, 1, dtype=int, device=device), numbers, inclusive=False)
+        return NodeLevels(numbers, mesh.level_first)
