@@ -7,8 +7,9 @@ such meshes the coordinates of corners are kept, so that they stay as even as th
 
 import numpy as np
 
-from ..scene.description import Mesh, Scene
+from ..scene.description import Scene
 from ..scene.flatten import IDENTITY
+from ..scene.frozen import fact
 from ..scene.motion import deforming_meshes
 
 _UNIT_BOX = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
@@ -47,7 +48,9 @@ def generated_corners(scene: Scene) -> dict[int, np.ndarray]:
             continue
         slots = 1 if mesh.triangle_slot is None else int(mesh.triangle_slot.max()) + 1
         first = instances.slot_first[placed]
-        if (before[first + slots] > before[first]).any() and (elsewhere[index] or _has_even_faces(mesh)):
+        if (before[first + slots] > before[first]).any() and (
+            elsewhere[index] or fact(mesh.positions, _has_even_faces, mesh.triangles)
+        ):
             before_moving = mesh.positions if mesh.base_positions is None else mesh.base_positions
             vertices = (before_moving * scale[index] + offset[index]).astype(np.float32)
             result[index] = vertices[mesh.triangles]
@@ -58,7 +61,7 @@ def _asks(material) -> bool:
     return material.program is not None and any(step.op == "generated" for step in material.program.instructions)
 
 
-def _has_even_faces(mesh: Mesh) -> bool:
+def _has_even_faces(positions: np.ndarray, triangles: np.ndarray) -> bool:
     """Whether any triangle lies across an axis of object space."""
-    a, b, c = (mesh.positions[mesh.triangles[:, k]] for k in range(3))
+    a, b, c = (positions[triangles[:, k]] for k in range(3))
     return bool(((a == b) & (a == c)).any())

@@ -6,7 +6,7 @@ without transforms. A mesh that is placed more often stays in object space, once
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,8 +67,14 @@ class FlatGeometry:
     curves: bool = False  # whether some triangles are segments of curves, as `segments.py` packs them
 
 
-def flatten(scene: Scene, groups: Sequence[Group] | None = None) -> FlatGeometry:
-    """Arrays of all geometry that `scene` uses; its baked instances are in `groups` (default: `groups_of` it)."""
+Bake = Callable[[Mesh, np.ndarray], "MeshChunk"]
+
+
+def flatten(scene: Scene, groups: Sequence[Group] | None = None, bake: Bake | None = None) -> FlatGeometry:
+    """Arrays of all geometry that `scene` uses; its baked instances are in `groups` (default: `groups_of` it), and
+    `bake` (default: `baked_mesh`) brings them to their places.
+    """
+    bake = bake or baked_mesh
     instances, baked = scene.instances, baked_instances(scene)
     filled = np.array([len(mesh.triangles) > 0 for mesh in scene.meshes], bool)
     alive = filled[instances.mesh] if len(instances) else np.zeros(0, bool)
@@ -85,7 +91,7 @@ def flatten(scene: Scene, groups: Sequence[Group] | None = None) -> FlatGeometry
                 chunks.append(_empty_place(member))
             else:
                 mesh_position[int(instances.mesh[i])] = len(chunks)
-                chunks.append(baked_mesh(scene.meshes[instances.mesh[i]], instances.transform[i]))
+                chunks.append(bake(scene.meshes[instances.mesh[i]], instances.transform[i]))
                 members.append(i)
                 starts.append(start)
             start += len(chunks[-1].triangles)

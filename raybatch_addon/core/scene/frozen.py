@@ -14,8 +14,8 @@ import numpy as np
 
 Fact = TypeVar("Fact")
 
-# By identity of the array and what computes the fact: the array, as long as it lives, and the fact
-_facts: dict[tuple[int, Callable], tuple[weakref.ref[np.ndarray], Any]] = {}
+# By identity of the arrays and what computes the fact: the arrays, as long as they live, and the fact
+_facts: dict[tuple[tuple[int, ...], Callable], tuple[tuple[weakref.ref[np.ndarray], ...], Any]] = {}
 
 
 def freeze(array: np.ndarray) -> np.ndarray:
@@ -37,21 +37,22 @@ def is_frozen(array: np.ndarray) -> bool:
     return part is None  # memory of others may change
 
 
-def fact(array: np.ndarray, compute: Callable[[np.ndarray], Fact]) -> Fact:
-    """`compute(array)`, computed once for a frozen array. `compute` is a function of a module: it is a key."""
-    if not is_frozen(array):
-        return compute(array)
-    key = (id(array), compute)
+def fact(array: np.ndarray, compute: Callable[..., Fact], *others: np.ndarray) -> Fact:
+    """`compute(array, *others)`, computed once for frozen arrays. `compute` is a function of a module: it is a key."""
+    arrays = (array, *others)
+    if not all(map(is_frozen, arrays)):
+        return compute(*arrays)
+    key = (tuple(map(id, arrays)), compute)
     known = _facts.get(key)
-    if known is None or known[0]() is not array:
-        reference = weakref.ref(array, lambda gone: _forget(key, gone))
-        known = _facts[key] = reference, compute(array)
+    if known is None or any(reference() is not each for reference, each in zip(known[0], arrays, strict=True)):
+        references = tuple(weakref.ref(each, lambda gone: _forget(key, gone)) for each in arrays)
+        known = _facts[key] = references, compute(*arrays)
     return known[1]
 
 
-def _forget(key: tuple[int, Callable], gone: weakref.ref) -> None:
+def _forget(key: tuple[tuple[int, ...], Callable], gone: weakref.ref) -> None:
     known = _facts.get(key)
-    if known is not None and known[0] is gone:  # not another array's in the same place
+    if known is not None and any(each is gone for each in known[0]):  # not other arrays' in the same places
         del _facts[key]
 
 

@@ -42,6 +42,26 @@ def test_facts_of_frozen_arrays_are_computed_once_and_end_with_them():
     assert len(frozen._facts) == before - 1
 
 
+def test_facts_of_several_arrays_are_of_all_of_them():
+    asked = []
+
+    def product(array, other):
+        asked.append(1)
+        return float(array @ other)
+
+    array, other, loose = freeze(np.arange(3.0)), freeze(np.ones(3)), np.ones(3)
+    assert [fact(array, product, other), fact(array, product, other)] == [3, 3] and len(asked) == 1
+    assert fact(array, product, freeze(2 * np.ones(3))) == 6
+    for factor in (1, 2):
+        loose[:] = factor
+        assert fact(array, product, loose) == 3 * factor
+    gc.collect()
+    before = len(frozen._facts)
+    del other
+    gc.collect()
+    assert len(frozen._facts) == before - 1
+
+
 def test_the_same_is_the_same_frozen_object():
     array, twin = freeze(np.arange(3)), freeze(np.arange(3))
     same = Same([array, None], ("a", 1))

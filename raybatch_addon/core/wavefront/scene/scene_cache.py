@@ -34,6 +34,7 @@ from ..plan.plan import Method, TracingPlan, cut_rule
 from ..volumes.upload import VolumeCache
 from .fingerprint import Fingerprint
 from .geometry_request import GeometryRequest, geometry_of, still_of
+from .kept_bakes import KeptBakes
 from .kept_emitters import KeptEmitters
 from .kept_inputs import KeptInputs
 from .moved_instances import Placed, follow_moved
@@ -97,6 +98,7 @@ class SceneCache:
         self.emissive_arrays: LastSmall[list[wp.array]] = LastSmall(_bytes_of_arrays)  # the same on the device
         self.light_tree: LastSmall[ChoiceTable] = LastSmall(choice_tree_bytes)
         self._displaced = DisplacedMeshes()
+        self._bakes = KeptBakes()
         self._last: Kept | None = None
         self._lock = threading.Lock()  # the build of a cancelled render may still be going on
 
@@ -111,6 +113,7 @@ class SceneCache:
         self.emissive_arrays.clear()
         self.light_tree.clear()
         self._displaced.clear()
+        self._bakes.clear()
         self._last = None
 
     @property
@@ -175,7 +178,7 @@ class SceneCache:
         with explained_memory_errors(size, request.layout, device):
             before = self._last
             follows = _may_show(before, request, device)
-            shows, flat = grouped(scene, _shown_before(before), follows=follows, keyed=device.is_cpu)
+            shows, flat = grouped(scene, _shown_before(before), bakes=self._bakes, follows=follows, keyed=device.is_cpu)
             fingerprint = Fingerprint.of(flat, scene, request.kind())
             with self._lock:
                 # nothing is kept until the new one is whole: not what an error left half done, nor two of them
@@ -193,7 +196,7 @@ class SceneCache:
                     if whole:
                         check_memory(size, request.layout, device, all_of_it=False)
                     if shows.is_follower:
-                        shows, flat = grouped(scene, keyed=device.is_cpu)
+                        shows, flat = grouped(scene, bakes=self._bakes, keyed=device.is_cpu)
                         fingerprint = Fingerprint.of(flat, scene, request.kind())
                     last = _build(fingerprint, flat, scene, request, device)
                     last.shows, last.kind = shows, request.kind()

@@ -21,6 +21,7 @@ from ...scene.frozen import is_frozen
 from ...scene.geometry import Geometry, update_instances, upload_geometry
 from ...scene.grouping.following import followed, needs_refit, placed_at, refitted, with_same_members
 from ...scene.grouping.groups import Group, groups_of, mesh_key
+from .kept_bakes import KeptBakes
 
 # Meshes with more triangles than these in all have no keys: to hash them takes longer than what is won
 _KEYED_MOST = 1 << 23
@@ -76,7 +77,7 @@ def _shared_keys(scene: Scene) -> tuple[bytes, ...]:
 
 
 def grouped(
-    scene: Scene, before: ShownInstances | None = None, *, follows: bool = False, keyed: bool = True
+    scene: Scene, before: ShownInstances | None = None, *, bakes: KeptBakes, follows: bool = False, keyed: bool = True
 ) -> tuple[ShownInstances, FlatGeometry]:
     """What `scene` shows and its geometry, grouped as in the frame `before` if it shows the same objects, or if it can
     follow one that shows others (`follows`). `keyed`: a later frame may follow this one.
@@ -89,7 +90,8 @@ def grouped(
             groups = followed(before.groups, now.groups)
     if groups is not None:
         now = ShownInstances(tuple(groups), now.shared)
-    return now, flatten(scene, now.groups)
+    bakes.begin()
+    return now, flatten(scene, now.groups, bakes.get)
 
 
 def show(
