@@ -16,6 +16,7 @@ from .ahead.change import TierChange
 from .ahead.request import CompileRequest, kernels_ahead
 from .bvh.memory import GeometrySize
 from .bvh.node import Layout
+from .bvh.pages.peers.shared import PeerPages, SharedPages
 from .checkpoint.checkpoint import Checkpoint
 from .device.devices import find_devices, is_alike, load_kernels, start_warp, warp_cache_folder
 from .device.failures import named_failures, names_failures
@@ -29,7 +30,7 @@ from .programs.requests import prepared_scene
 from .scene.description import Scene
 from .scene.features import SceneFeatures, derive_features
 from .scene.validate import checked_scene
-from .session_device import Place, SessionDevice
+from .session_device import Place, SessionDevice, pages_in_common
 from .settings.settings import RenderSettings
 from .wavefront.adaptive.ranges import check_after, chosen_looks, pixels_can_end
 from .wavefront.plan.plan import Choice
@@ -67,6 +68,7 @@ class Session:
         self.settings = settings or RenderSettings()
         start_warp(cache_folder)
         self._page_folder = Path(page_folder) if page_folder else warp_cache_folder() / "pages"
+        self._shared_pages = SharedPages()
         self._at = [
             SessionDevice(each, compile_between_renders) for each in find_devices(device or self.settings.device)
         ]
@@ -164,7 +166,7 @@ class Session:
         film = film_to_fill(job.scene.frame, job.settings, job.sample_first, resume, self.device)
         if checkpoint:
             job.show(film)
-        sharing = self._at if job.path_total >= SHARED_PATHS_LEAST else self._at[:1]
+        sharing = self._sharing(job.path_total)
         state = job.begin(film, after, [each.device for each in sharing])
         if job.settings.kernel_tier == "AUTO":
             job.chosen["kernel_tier"] = Choice("GENERAL" if job.tier.general else "SPECIALISED", job.tier.why)
@@ -187,6 +189,10 @@ class Session:
         film.statistics = job.statistics(film, state, integrators, modules, scene_there, devices)
         job.rendering = None  # it leads back to the job: the film would stay until somebody looks for cycles
         return film
+
+    def _sharing(self, path_total: int) -> list[SessionDevice]:
+        """The devices that share a render of so many paths."""
+        return self._at if path_total >= SHARED_PATHS_LEAST else self._at[:1]
 
     # --- before
 
@@ -215,7 +221,8 @@ class Session:
         size = derived("size", settings, lambda: GeometrySize.of(checked))
         features = derived("features", settings, lambda: derive_features(checked, settings))
         features = replace(features, adaptive=pixels_can_end(settings, sample_first))
-        plan = first.plan(checked, settings, size, features)
+        sharing = self._sharing(settings.sample_count * checked.frame.pixel_count)
+        plan = first.plan(checked, settings, size, features, [each.device for each in sharing])
         warnings = [*checked.warnings, *plan.complaints, *self._unlike()]
         tier = choose_tier(features, settings.kernel_tier, self.device)
         if tier.complaint:
@@ -259,21 +266,24 @@ class Session:
         def show() -> None:
             job.on_progress(progress_of(job.parts, job.settings, self.devices, "build"))
 
-        def prepare(at: SessionDevice, its: Job) -> Place | None:
+        devices = [each.device for each in sharing]
+
+        def prepare(at: SessionDevice, its: Job, peers: PeerPages | None) -> Place | None:
             with named_failures(at.device):
-                scene, modules = at.prepare(its, self._page_folder)
+                scene, modules = at.prepare(its, self._page_folder, peers)
             return None if scene is None else Place(at, its, scene, modules)
 
         job.cancelled = cancelled
         first, *others = sharing
+        jobs = [job, *(self._beside(job, each, devices, stop.is_set) for each in others)]
+        pages = pages_in_common(jobs, devices, self._shared_pages)
         if not others:
-            made = [prepare(first, job)]
+            made = [prepare(first, job, None)]
         else:
-            jobs = [self._beside(job, each, stop.is_set) for each in others]
             with ThreadPoolExecutor(max_workers=len(others), thread_name_prefix="RayBatch device") as pool:
                 try:
-                    waited = [pool.submit(prepare, *each) for each in zip(others, jobs, strict=True)]
-                    made = [prepare(first, job)]
+                    waited = [pool.submit(prepare, *each) for each in zip(others, jobs[1:], pages[1:], strict=True)]
+                    made = [prepare(first, job, pages[0])]
                     for each in waited:
                         is_awaited(each, cancelled, show)
                     made += [each.result() for each in waited]
@@ -282,12 +292,12 @@ class Session:
                     raise
         return [each for each in made if each] if all(made) else []
 
-    def _beside(self, job: Job, at: SessionDevice, cancelled: Callable[[], bool]) -> Job:
+    def _beside(self, job: Job, at: SessionDevice, devices: Sequence[wp.Device], cancelled: Callable[[], bool]) -> Job:
         """What `job` is on another device than the first: with its own plan, and without a word to anybody."""
         return replace(
             job,
             tier=choose_tier(job.features, job.settings.kernel_tier, at.device),
-            plan=at.plan(job.scene, job.settings, job.size, job.features),
+            plan=at.plan(job.scene, job.settings, job.size, job.features, devices),
             on_tile=lambda tile: None,
             on_progress=lambda progress: None,
             cancelled=cancelled,

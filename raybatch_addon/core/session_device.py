@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import warp as wp
@@ -15,6 +15,8 @@ from .ahead.change import TierChanges
 from .ahead.prepare import Preparation
 from .bvh.build.scene_tree import layout_for
 from .bvh.memory import GeometrySize
+from .bvh.pages.peers.access import let_read, why_apart
+from .bvh.pages.peers.shared import PeerPages, SharedPages
 from .device.compiler import CompileStoppedError
 from .device.devices import free_memory
 from .displacement.displaced import is_displaced
@@ -27,7 +29,7 @@ from .scene.features import SceneFeatures
 from .settings.settings import RenderSettings
 from .wavefront.estimates.displacement import mover
 from .wavefront.integrator import TileIntegrator
-from .wavefront.plan.plan import Memory, TracingPlan, plan_tracing
+from .wavefront.plan.plan import Memory, Method, TracingPlan, plan_tracing
 from .wavefront.render.resume import ResumeState
 from .wavefront.render.workers import WorkersFor
 from .wavefront.scene.device_scene import DeviceScene
@@ -56,10 +58,24 @@ class SessionDevice:
         self.kept.clear()
         self.cache.clear()
 
-    def plan(self, scene: Scene, settings: RenderSettings, size: GeometrySize, features: SceneFeatures) -> TracingPlan:
-        """How rays of `scene`, whose geometry is of this `size`, are traced here."""
+    def plan(
+        self,
+        scene: Scene,
+        settings: RenderSettings,
+        size: GeometrySize,
+        features: SceneFeatures,
+        sharing: Sequence[wp.Device] = (),
+    ) -> TracingPlan:
+        """How rays of `scene`, whose geometry is of this `size`, are traced here, while `sharing` render it."""
         free = self.cache.free_for_geometry(scene.images, self.device)
-        memory = Memory(size.needed(self.layout, self.device), free, free_memory(wp.get_device("cpu")))
+        apart = why_apart(sharing)
+        memory = Memory(
+            size.needed(self.layout, self.device),
+            free,
+            free_memory(wp.get_device("cpu")),
+            peers=1 if apart else len(sharing),
+            apart=apart,
+        )
         samples = settings.sample_count * scene.frame.pixel_count
         return plan_tracing(settings, size, self.layout, self.device.is_cuda, memory, samples, features.moving)
 
@@ -95,7 +111,9 @@ class SessionDevice:
             if done.done():
                 self._building = None
 
-    def prepare(self, job: Job, page_folder: Path) -> tuple[DeviceScene | None, list[str]]:
+    def prepare(
+        self, job: Job, page_folder: Path, peers: PeerPages | None = None
+    ) -> tuple[DeviceScene | None, list[str]]:
         """The scene on the device, and the names of the modules of kernels; nothing when cancelled meanwhile."""
         kernels = job.request.kernels(self.device) + [add_integers_kernel] * (job.settings.half_count - 1)
         preparation = Preparation(kernels, self.device, self._building, self.tier_changes.is_closed, job.parts)
@@ -105,6 +123,7 @@ class SessionDevice:
             layout=self.layout,
             instancing=job.features.instancing,
             page_folder=page_folder,
+            peers=peers,
             cancelled=preparation.is_given_up,
         )
         asked = asked_of(job.settings, job.features, job.tier.shading, request)
@@ -128,6 +147,28 @@ class SessionDevice:
         finally:
             job.warnings += preparation.warnings
             self._building = preparation.build
+
+
+def pages_in_common(jobs: Sequence[Job], devices: Sequence[wp.Device], shared: SharedPages) -> list[PeerPages | None]:
+    """The part of each of `devices` where they hold pages for each other, as the first one's job has it: then all have
+    the same plan, with the least budget. The jobs are changed; None for each device where pages lie elsewhere.
+    """
+    first = jobs[0].plan
+    refusal = let_read(devices) if first.geometry_store == "PEERS" else ""
+    if first.geometry_store == "PEERS" and not refusal:
+        budget = min(each.plan.geometry_budget for each in jobs if each.plan.method is Method.PAGED)
+        choices = dict(first.choices)
+        if "geometry_budget" in choices:
+            choices["geometry_budget"] = replace(choices["geometry_budget"], value=budget)
+        for job in jobs:
+            job.plan = replace(first, geometry_budget=budget, choices=choices)
+        return list(PeerPages.of(shared, devices))
+    if refusal:
+        jobs[0].warnings.append(f"geometry_store is HOST, not PEERS: {refusal}")
+    for job in jobs:
+        if job.plan.geometry_store == "PEERS":
+            job.plan = replace(job.plan, geometry_store="HOST")
+    return [None] * len(jobs)
 
 
 @dataclass

@@ -31,6 +31,8 @@ NORMALS = 36  # of the corners of a triangle
 TREE_BYTES_MOST = {Layout.BOXES: 90, Layout.QUANTISED: 64}
 TREE_BYTES = {Layout.BOXES: 45, Layout.QUANTISED: 55}
 COPY_BYTES = {Layout.BOXES: 40, Layout.QUANTISED: 48}  # of a triangle in a block
+# The same in pages that are packed, and what pages take more by gaps and by segments of curves, about
+PACKED_BYTES, PACKED_COPY_BYTES, PAGES_OVER = 25, 15, 1.2
 # Nodes of a tree for ranges of time (`build/mesh_ranges.py`) take at most so many times the memory of its triangles at
 # further steps
 NODES_OVER_TIME = 2
@@ -84,6 +86,10 @@ class GeometrySize:
     def tree_bytes_most(self, layout: Layout) -> int:
         """Trees and triangles, with copies and nodes for ranges of time, from above [bytes]."""
         return TREE_BYTES_MOST[layout] * self.triangles + (1 + NODES_OVER_TIME) * self.step_bytes(layout)
+
+    def packed_bytes(self) -> int:
+        """Trees and packed triangles as pages are stored, about [bytes]."""
+        return int(PAGES_OVER * (PACKED_BYTES * self.triangles + PACKED_COPY_BYTES * self.copies))
 
     def arrays(self) -> int:
         """Geometry alone [bytes]."""

@@ -135,8 +135,19 @@ class MemorySettings:
         effect="schedule",
         auto="AUTO",
         choices=(
-            ("AUTO", "Auto", "Host memory of a CUDA device where that is large enough, else disk"),
+            (
+                "AUTO",
+                "Auto",
+                "Memory of the other GPUs where several of one model render and read it by themselves, else host "
+                "memory of a CUDA device where that is large enough, else disk",
+            ),
             ("HOST", "Host RAM", "The host's memory, page-locked for a CUDA device"),
+            (
+                "PEERS",
+                "Other GPUs",
+                "Memory of all devices of one model that render, each of which holds a share; the host's where that "
+                "is not enough",
+            ),
             ("DISK", "Disk", "A file beside the cache of compiled kernels, written once and used again"),
         ),
     )

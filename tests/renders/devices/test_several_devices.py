@@ -30,6 +30,7 @@ WAYS = {
     "rounds": dict(error_target=1e-9, sample_count=16, tile_size=9),
     "batched": dict(batching="ON", debug_checks="ON", tile_size=8),
     "paged": dict(debug_checks="ON", tile_size=8),
+    "peers": dict(debug_checks="ON", tile_size=8, geometry_store="PEERS"),
 }
 
 
@@ -61,7 +62,8 @@ def several(monkeypatch):
 
 
 def settings_of(way: str):
-    budget = dict(geometry_budget=schedule_scenes.least_budget(DEVICE) + 1000) if way == "paged" else {}
+    least = {"paged": 1, "peers": 4}.get(way, 0) * schedule_scenes.least_budget(DEVICE)
+    budget = dict(geometry_budget=least + 1000) if least else {}
     return SETTINGS.replace(**{"thread_count": 1, "sample_count": 12, **WAYS[way], **budget})
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Callable
 
-from ..memory import COPY_BYTES, TREE_BYTES
+from ..memory import COPY_BYTES, PACKED_BYTES, PACKED_COPY_BYTES, PAGES_OVER, TREE_BYTES
 from ..node import Layout
 from .divide.primitives import Primitives
 from .store import PAGE_ALIGNMENT
@@ -16,8 +16,8 @@ _SIZES = (*range(2 * PAGE_ALIGNMENT, 16 << 20, PAGE_ALIGNMENT), 16 << 20, 32 << 
 # The least budget of each size; what is smaller has the smallest pages
 _LEAST = [0, *(size * _BUDGET_SHARE for size in _SIZES[1:])]
 _NO_END = 1 << 62
-# A packed triangle with its share of nodes, mostly; what a segment of a curve takes more; a packed copy of a triangle
-_PACKED_BYTES, _SEGMENT_BYTES, _PACKED_COPY = 25, 19, 15
+# What a packed segment of a curve takes more than a packed triangle
+_SEGMENT_BYTES = 19
 # Triangles that are built, all trials together, to find a smaller budget than one that is known to be enough
 _TRIALS_TRIANGLES = 1 << 23
 
@@ -26,8 +26,8 @@ def expected_bytes(primitives: Primitives, curves: bool, layout: Layout, encoded
     """Bytes of all pages, about. `curves`: segments are among the primitives."""
     each, copy = TREE_BYTES[layout], COPY_BYTES[layout]
     if encoded:
-        each, copy = _PACKED_BYTES + _SEGMENT_BYTES * curves, _PACKED_COPY
-    return int(1.2 * (each * len(primitives.triangles) + copy * primitives.copies)) + (1 << 16)
+        each, copy = PACKED_BYTES + _SEGMENT_BYTES * curves, PACKED_COPY_BYTES
+    return int(PAGES_OVER * (each * len(primitives.triangles) + copy * primitives.copies)) + (1 << 16)
 
 
 def page_size(budget: int) -> int:

@@ -26,11 +26,14 @@ from .divide.cells import MeshTriangles, mesh_from, mesh_triangles
 from .divide.primitives import Primitives
 from .entries import instances_in
 from .file import PageFileWriter, delete_old_files, open_page_file
-from .packing import HostPacker, NoStore, PagePacker
+from .packing import HostPacker, NoStore, PagePacker, PageTarget
 from .paged_scene import PagedScene
-from .resident import Resident, load_nodes, place_resident
+from .peers.share import ShareTooLargeError
+from .peers.shared import PeerPages
+from .peers.store import BuiltPages, PeerPlace, PeerStore
+from .resident import load_nodes, place_resident
 from .store import PAGE_ALIGNMENT, HostStore, Page, PageStore
-from .tables import PageBuilder, PageTables
+from .tables import PageBuilder, PageTables, page_statistics
 
 # Nodes stay on the device where they take no more than this share of the budget
 _NODES_SHARE = 0.75
@@ -44,7 +47,7 @@ _PLAIN_SHARE = 0.5
 class _BuildRecord:
     """How the pages of a scene were made."""
 
-    store: str  # HOST or DISK
+    store: str  # HOST, PEERS or DISK
     page_bytes: int  # of a page on the device at most
     encoded: bool  # as in `PagedScene`
     reused: bool = False  # they were found in a file
@@ -75,6 +78,7 @@ def build_paged_scene(
     encoded: bool = False,
     plain: bool | None = None,
     corners: wp.array | None = None,
+    peers: PeerPages | None = None,
     cancelled: Callable[[], bool] = lambda: False,
 ) -> PagedScene:
     """Build `flat`, of at least one triangle, in chunks, or find what was built of it before.
@@ -84,7 +88,7 @@ def build_paged_scene(
         layout: BOXES for the traversal of CPUs, QUANTISED for that of GPUs.
         device: that traces.
         budget: bytes of nodes and triangles on the device at most.
-        store: HOST or DISK.
+        store: HOST, PEERS or DISK.
         folder: of the files of DISK.
         rule: cuts the tree of each chunk (`top_bytes_max` is that of all together); by default a chunk is one treelet.
         nodes_resident: whether all nodes stay on the device; None: where they fit well.
@@ -94,6 +98,7 @@ def build_paged_scene(
             CUDA, where memory allows.
         corners: those of all triangles in the order of `flat`, wp.vec3 [3 n], where `device` reads them faster than it
             reads `flat`; there may be none.
+        peers: of PEERS: what `device` is among those that hold the pages. Its share is part of `budget`.
         cancelled: ends the build soon; may be asked on any thread.
 
     `statistics` say what was done, `page_file_warning` among them where a file could not be used.
@@ -104,7 +109,8 @@ def build_paged_scene(
     if encoded and layout is not Layout.QUANTISED:
         raise ValueError("only triangles of QUANTISED are packed")
     start = time.perf_counter()
-    page_bytes = page_size(budget)
+    share = peers.way.share if peers else 0
+    page_bytes = page_size(budget - share)
     staged = device.is_cuda and encoded  # a page that arrives has a buffer beside its slot
     primitives = Primitives.of(flat)
     spatial_splits = spatial_splits and not primitives.stand_in
@@ -130,10 +136,7 @@ def build_paged_scene(
         return mesh_triangles(flat.positions, flat.triangles, device, corners if device.is_cuda else None), None
 
     def build(
-        builder: ChunkBuilder,
-        page_bytes: int,
-        target: HostStore | PageFileWriter | NoStore,
-        plain: HostStore | None = None,
+        builder: ChunkBuilder, page_bytes: int, target: HostStore | PageTarget, plain: HostStore | None = None
     ) -> tuple[PageTables, list[int]]:
         packer: PagePacker = (
             DevicePacker(device, target, encoded, plain)
@@ -159,6 +162,8 @@ def build_paged_scene(
         return tables.needed_bytes(resident.bytes, bool(nodes_resident), staged)
 
     def too_small() -> OutOfMemoryError:
+        if share:
+            return ShareTooLargeError("the shares of pages leave no room for what is brought in")
         enough = least_budget(budget, len(flat.triangles), bound, needed)
         return OutOfMemoryError(
             f"a geometry budget of {budget:,} bytes is too small for {len(flat.triangles):,} triangles: top level, "
@@ -166,23 +171,28 @@ def build_paged_scene(
             f"treelets must stay on the device, beside a page; {enough:,} bytes are enough"
         )
 
-    if bound(page_bytes) > budget:
+    if bound(page_bytes) > budget - share:
         raise too_small()
     builder = builder_of(page_bytes)
-    record = _BuildRecord(store, page_bytes, encoded)
+    record = _BuildRecord(store if share or store != "PEERS" else "HOST", page_bytes, encoded)
     copy: HostStore | None = None
     expected = expected_bytes(primitives, flat.curves, layout, encoded)
     if store == "DISK":
         tables, pages = _from_disk(
             flat, layout, builder, rule, folder=Path(folder), expected=expected, record=record, build=build
         )
+    elif peers is not None:
+
+        def make() -> BuiltPages:
+            _check_host(expected - share * len(peers.devices))
+            held = PeerStore(peers.devices, share)
+            return BuiltPages(build(builder, page_bytes, held)[0], held)
+
+        key = _key(flat, layout, builder, rule, page_bytes, encoded) + repr((peers.devices, share)).encode()
+        built = peers.shared.get(key, make, cancelled)
+        tables, pages = built.tables, PeerPlace(built, peers.place)
     else:
-        free = free_memory(wp.get_device("cpu"))
-        if expected > free:
-            raise OutOfMemoryError(
-                f"the scene's geometry takes about {expected / 1e9:.2f} GB, and {free / 1e9:.2f} GB of memory are "
-                "free; use DISK"
-            )
+        free = _check_host(expected)
         pages = HostStore(pinned=device.is_cuda)
         if plain is None:
             expanded = expected_bytes(primitives, flat.curves, layout, False)
@@ -209,6 +219,17 @@ def build_paged_scene(
         skipped = tables.page_device[:, 0] * made.nodes_resident
         made.plain, made.plain_byte = copy, (np.array(copy_byte, np.int64) + skipped).tolist()
     return made
+
+
+def _check_host(needed: int) -> int:
+    """Free memory of the host [bytes]; raises `OutOfMemoryError` where that is less than `needed`."""
+    free = free_memory(wp.get_device("cpu"))
+    if needed > free:
+        raise OutOfMemoryError(
+            f"the scene's geometry takes about {needed / 1e9:.2f} GB, and {free / 1e9:.2f} GB of memory are free; "
+            "use DISK"
+        )
+    return free
 
 
 def _from_disk(
@@ -298,6 +319,9 @@ def _assembled(
     """
     start = time.perf_counter()
     staged = device.is_cuda and record.encoded
+    peer = store if isinstance(store, PeerPlace) else None
+    held = peer.held if peer else 0
+    budget -= held
     resident = place_resident(tables, flat, visibility, layout, device, int(_RANGES_SHARE * budget))
     if tables.needed_bytes(resident.bytes, bool(nodes_resident), staged) > budget:
         resident = place_resident(tables, flat, visibility, layout, device)
@@ -341,38 +365,20 @@ def _assembled(
         resident_nodes=nodes,
         store=store,
         box=resident.box,
-        resident_bytes=resident.bytes + nodes.size,
+        resident_bytes=resident.bytes + nodes.size + held,
+        home=peer.home_addresses(pages) if peer and not record.encoded else None,
         encoded=record.encoded,
         page_node_bytes=tables.page_bytes[:, 0] * (not nodes_resident),
         page_units=tables.page_units,
-        statistics={**record.statistics, "seconds": seconds, **_description(tables, layout, resident, nodes_resident)},
+        statistics={
+            **record.statistics,
+            "seconds": seconds,
+            **(peer.statistics() if peer else {}),
+            **page_statistics(tables, layout, resident.tree, resident.levels, nodes_resident),
+        },
     )
 
 
 def _treelets_bytes(page_bytes: int) -> int:
     """Bytes of the treelets in a page, whose two segments are padded."""
     return max(page_bytes - 2 * PAGE_ALIGNMENT, page_bytes // 2)
-
-
-def _description(tables: PageTables, layout: Layout, resident: Resident, nodes_resident: bool) -> dict[str, Any]:
-    """Figures of the pages for statistics."""
-    node_bytes, triangle_bytes = (int(each) for each in tables.page_device.sum(0))
-    return {
-        "layout": layout.value,
-        "trees": len(tables.chunk_first) - 1,
-        "chunks": len(tables.chunk_size),
-        "entries": resident.tree.entry_count,
-        "triangles": int(tables.chunk_size.sum()),
-        "treelets": len(tables.treelet_root),
-        "pages": len(tables.page_bytes),
-        "page_fill": round(float(tables.page_device.sum(1).mean() / max(tables.page_device.sum(1).max(), 1)), 4),
-        "bytes": node_bytes + triangle_bytes + tables.top_nodes.nbytes + tables.top_triangles.nbytes,
-        "node_bytes": node_bytes,
-        "triangle_bytes": triangle_bytes,
-        "stored_bytes": int(tables.page_bytes.sum()),
-        "nodes_resident": bool(nodes_resident),
-        "depth": int(tables.chunk_depth.max()),
-        "levels": resident.levels,
-        "sah": round(float(tables.chunk_sah.max()), 4),
-        **({"time_ranges": resident.tree.top_ranges} if resident.tree.motion_steps else {}),
-    }

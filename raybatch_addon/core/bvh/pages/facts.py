@@ -20,3 +20,12 @@ class PageFacts:
     served: np.ndarray  # rays that waited for it when it was loaded last
     clock: int  # pages loaded so far
     pool: int  # pages that fit on the device
+
+
+@dataclass
+class PageCounts:
+    """Figures of what was moved for one worker, or for several."""
+
+    bytes_copied: int = 0
+    loaded: int = 0
+    evicted: int = 0

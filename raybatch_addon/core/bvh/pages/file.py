@@ -79,6 +79,12 @@ class PageFileWriter:
             self._sync()
         return first
 
+    def add_page(self, memory: np.ndarray, node_bytes: int) -> int:
+        """See `PageTarget`; raises `PageFileError`."""
+        first = self.add(memory[:node_bytes])
+        self.add(memory[node_bytes:])
+        return first
+
     def finish(self, index: dict[str, np.ndarray]) -> DiskStore:
         """Complete the file with what else is kept, and open it. Raises `PageFileError`."""
         memory = io.BytesIO()

@@ -13,18 +13,26 @@ from ...device.devices import worker_count
 from ..node import Layout, triangle_faces
 from .chunk import Chunk
 from .encode import encode_triangles
-from .file import PageFileWriter
 from .store import HostStore, padded, page_buffer
 
 # Pages that are packed and written while the next chunks are built
 _PACKED_AHEAD = 4
 
 
+class PageTarget(Protocol):
+    """Takes pages, each from memory that is written anew afterwards."""
+
+    def add_page(self, memory: np.ndarray, node_bytes: int) -> int:
+        """Append a page, uint8, whose segments of nodes, of `node_bytes`, and of triangles are whole
+        `PAGE_ALIGNMENT`; returns its first byte.
+        """
+
+
 class NoStore:
     """Takes pages and keeps none: for tables alone."""
 
-    def add(self, data: np.ndarray) -> int:
-        """The byte at which `data` would begin, in a store that keeps nothing."""
+    def add_page(self, memory: np.ndarray, node_bytes: int) -> int:
+        """See `PageTarget`: all begin at 0."""
         return 0
 
 
@@ -62,7 +70,7 @@ class HostPacker:
     def __init__(
         self,
         layout: Layout,
-        target: HostStore | PageFileWriter | NoStore,
+        target: HostStore | PageTarget,
         positions: np.ndarray | None,
         plain: HostStore | None = None,
     ):
@@ -128,8 +136,7 @@ class HostPacker:
             memory = self._buffer[:total]
         _fill(memory, blocks, sizes)
         if not isinstance(self._target, HostStore):
-            first = self._target.add(memory[: sizes[0]])
-            self._target.add(memory[sizes[0] : total])
+            first = self._target.add_page(memory, sizes[0])
         node_bytes, triangle_bytes = sizes
         node_device_bytes, triangle_device_bytes = device
         return PackedPage(

@@ -38,7 +38,8 @@ class PagedScene:
     resident_nodes: wp.array  # as `page_rows`, on the device: the nodes of all treelets, or empty
     store: PageStore
     box: np.ndarray  # two corners that hold all surfaces [m], float64, shape [2, 3]
-    resident_bytes: int  # of `tree`, `of_node`, `root` and `resident_nodes`
+    # of `tree`, `of_node`, `root` and `resident_nodes`, and of pages that the device holds for all that render
+    resident_bytes: int
     # where the triangles of each page begin, in the store and on the device, int64, shape [pages]
     page_node_bytes: np.ndarray
     page_units: np.ndarray  # triangles, or groups of them (BOXES), of each page, likewise
@@ -47,6 +48,8 @@ class PagedScene:
         default=None, repr=False
     )  # pages of an encoded scene as the device has them, for rays to read there
     plain_byte: list[int] = field(default_factory=list, repr=False)  # where each begins
+    # addresses of pages that the device holds itself, as it reads them, uint64, shape [pages]; 0: not there. None: none
+    home: np.ndarray | None = field(default=None, repr=False)
     statistics: dict[str, Any] = field(default_factory=dict)
 
     @property

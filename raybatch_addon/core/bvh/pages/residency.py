@@ -12,20 +12,18 @@ import contextlib
 import threading
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
 
 from ...device.devices import by_default_on
 from ...device.kernel import KERNEL_OPTIONS
-from ...errors import OutOfMemoryError
 from ..tree import Treelets
 from .address_ring import AddressRing
-from .facts import PageFacts
+from .facts import PageCounts, PageFacts
 from .paged_scene import PagedScene
-from .store import padded, page_rows
-from .transfer import PageTransfer, largest_page, page_transfer, staging_count
+from .store import page_rows
+from .transfer import PageTransfer, page_transfer, slot_bytes_of, slots_in, staging_bytes_of
 
 ABSENT, COMING, THERE, LEAVING = range(4)
 
@@ -57,45 +55,6 @@ def address_kernel(
     treelets.triangles[treelet] = triangles
 
 
-@dataclass
-class PageCounts:
-    """Figures of what was moved for one worker, or for several."""
-
-    bytes_copied: int = 0
-    loaded: int = 0
-    evicted: int = 0
-
-
-def slot_bytes_of(scene: PagedScene) -> int:
-    """Bytes of a slot of the pool."""
-    return padded(max(1, scene.page_bytes_max))
-
-
-def staging_bytes_of(scene: PagedScene, slots: int, device: wp.Device) -> int:
-    """Device memory of the buffers in which the pages of a pool of `slots` arrive before they are expanded [bytes]."""
-    if not (device.is_cuda and scene.encoded):
-        return 0
-    return staging_count(scene, slots) * largest_page(scene)
-
-
-def slots_in(scene: PagedScene, budget: int, device: wp.Device) -> int:
-    """Pages that fit in `budget` bytes beside what stays on the device, at most all; raises `OutOfMemoryError` for
-    none.
-    """
-    size = slot_bytes_of(scene)
-    least = scene.resident_bytes + size + staging_bytes_of(scene, 1, device)
-    if budget < least:
-        raise OutOfMemoryError(
-            f"geometry_budget is {budget:,} bytes, and this scene needs {least:,} at least ({scene.resident_bytes:,} "
-            "that always stay on "
-            f"the device, and one page); raise it, or set it to 0"
-        )
-    slots = min(max(1, len(scene.pages)), (budget - scene.resident_bytes) // size)
-    while slots > 1 and scene.resident_bytes + slots * size + staging_bytes_of(scene, slots, device) > budget:
-        slots -= 1
-    return slots
-
-
 class Residency:
     """The pool of pages of a scene on one device; safe to be used by several threads."""
 
@@ -114,7 +73,9 @@ class Residency:
         self._changed = threading.Condition()
         self._changes = 0
         self._error: BaseException | None = None
-        self._state = np.full(count, ABSENT, np.int8)
+        # addresses of pages that lie on the device for good, outside the pool; 0: others
+        self._home = np.zeros(count, np.uint64) if scene.home is None else scene.home
+        self._state = np.where(self._home > 0, THERE, ABSENT).astype(np.int8)
         self._slot = np.full(count, -1, np.int32)
         self._pins = np.zeros(count, np.int32)
         self._filled: dict[int, wp.Event] = {}  # by page: the mark behind its copy, until a launch has waited for it
@@ -242,6 +203,7 @@ class Residency:
     def _facts(self) -> PageFacts:
         evictable = self._state == THERE
         evictable[list(self._filled)] = False  # no launch was shown them yet
+        evictable[self._home > 0] = False
         return PageFacts(
             waiting=self._waiting.copy(),
             since=self._since.copy(),
@@ -306,6 +268,7 @@ class Residency:
             self._pins[shown] += 1
             addresses = np.zeros(len(self._state), np.uint64)
             addresses[shown] = self._pool.ptr + self._slot[shown].astype(np.int64) * self.slot_bytes
+            addresses = np.where(self._home > 0, self._home, addresses)
             for page, filled in self._filled.items():
                 self._transfer.complete(page, int(self._slot[page]), filled)
             self._filled.clear()
@@ -315,9 +278,10 @@ class Residency:
         with self._changed:
             mark = self._transfer.mark()
             for page in shown.tolist():
-                self._used[self._slot[page]] = mark
                 self._pins[page] -= 1
-                self._let_go(page)
+                if self._slot[page] >= 0:
+                    self._used[self._slot[page]] = mark
+                    self._let_go(page)
             self._start()
 
     def _wait_changed(self, old: np.ndarray, new: np.ndarray) -> None:
@@ -330,13 +294,13 @@ class Residency:
                 self._note_change()
 
     def zero_copy_addresses(self) -> np.ndarray:
-        """Addresses of all pages in pinned memory, uint64."""
+        """Addresses of all pages in pinned memory, or in that of other devices, uint64."""
         if self._zero_copy is None:
             self._zero_copy = np.array([self._plain(page).ptr for page in range(len(self.scene.pages))], np.uint64)
         return self._zero_copy
 
     def _plain(self, page: int) -> wp.array | None:
-        """Page number `page` in host memory as rays can read it; None where it is in a file, or encoded there alone."""
+        """Page number `page` behind the device as rays can read it; None where it is in a file, or encoded alone."""
         return self.scene.plain_view(page) if self.scene.encoded else self.scene.store.view(self.scene.pages[page])
 
 

@@ -101,19 +101,24 @@ def _deform(tables: PageTables, flat: FlatGeometry, layout: Layout) -> tuple[np.
 def load_nodes(tables: PageTables, store: PageStore, device: wp.Device) -> wp.array:
     """The nodes of all treelets on `device`, page after page, as `page_rows`."""
     nodes = page_rows(int(tables.page_bytes[:, 0].sum()), device)
-    buffer = page_buffer(max(int(tables.page_bytes[:, 0].max()), 64)) if device.is_cuda else None
+    buffer: wp.array | None = None
     end = 0
     for i, (byte, size) in enumerate(zip(tables.page_byte[:, 0].tolist(), tables.page_bytes[:, 0].tolist())):
         if size == 0:
             continue
         page = Page(int(tables.page_treelet[i]), 0, byte, size, size)
-        if device.is_cuda:
+        view = store.view(page) if device.is_cuda else None
+        if view is not None:
+            wp.copy(bytes_of_rows(nodes, end, size), view, count=size)
+        elif device.is_cuda:
+            buffer = buffer or page_buffer(max(int(tables.page_bytes[:, 0].max()), 64))
             store.read_into(page, buffer.numpy(), direct=True)
             wp.copy(bytes_of_rows(nodes, end, size), buffer, count=size)
             wp.synchronize_device(device)
         else:
             store.read_into(page, bytes_of_rows(nodes, end, size).numpy(), direct=True)
         end += size
+    wp.synchronize_device(device)
     return nodes
 
 

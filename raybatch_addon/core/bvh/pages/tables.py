@@ -5,10 +5,12 @@ with the pages.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
 from ..node import Layout
+from ..tree import Tree
 from .chunk import Chunk
 from .entries import ChunkInstances
 from .packing import PagePacker
@@ -179,3 +181,29 @@ class PageBuilder:
         self._packer.put(self._chunks_in_hand, self._treelet_count)
         self._page_count += 1
         self._chunks_in_hand, self._sizes = [], [0, 0]
+
+
+def page_statistics(
+    tables: PageTables, layout: Layout, tree: Tree, levels: int, nodes_resident: bool
+) -> dict[str, Any]:
+    """Figures of the pages for statistics; `tree`, of so many `levels` at most, stays on the device."""
+    node_bytes, triangle_bytes = (int(each) for each in tables.page_device.sum(0))
+    return {
+        "layout": layout.value,
+        "trees": len(tables.chunk_first) - 1,
+        "chunks": len(tables.chunk_size),
+        "entries": tree.entry_count,
+        "triangles": int(tables.chunk_size.sum()),
+        "treelets": len(tables.treelet_root),
+        "pages": len(tables.page_bytes),
+        "page_fill": round(float(tables.page_device.sum(1).mean() / max(tables.page_device.sum(1).max(), 1)), 4),
+        "bytes": node_bytes + triangle_bytes + tables.top_nodes.nbytes + tables.top_triangles.nbytes,
+        "node_bytes": node_bytes,
+        "triangle_bytes": triangle_bytes,
+        "stored_bytes": int(tables.page_bytes.sum()),
+        "nodes_resident": bool(nodes_resident),
+        "depth": int(tables.chunk_depth.max()),
+        "levels": levels,
+        "sah": round(float(tables.chunk_sah.max()), 4),
+        **({"time_ranges": tree.top_ranges} if tree.motion_steps else {}),
+    }

@@ -18,11 +18,13 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Protocol
 
+import numpy as np
 import warp as wp
 
 from ...device.devices import by_default_on
+from ...errors import OutOfMemoryError
 from .paged_scene import PagedScene
-from .store import bytes_of_rows, page_buffer
+from .store import bytes_of_rows, padded, page_buffer
 
 # Pages that are read at the same time; as many are staged on their way to a CUDA device
 READER_COUNT = 2
@@ -69,6 +71,37 @@ def pages_a_step(scene: PagedScene, slot_count: int) -> int:
 def staging_count(scene: PagedScene, slot_count: int) -> int:
     """Staging buffers for encoded pages on a CUDA device: for those of a step, and of the next."""
     return 2 * pages_a_step(scene, slot_count) if slot_count > 1 else 1
+
+
+def slot_bytes_of(scene: PagedScene) -> int:
+    """Bytes of a slot of the pool."""
+    return padded(max(1, scene.page_bytes_max))
+
+
+def staging_bytes_of(scene: PagedScene, slots: int, device: wp.Device) -> int:
+    """Device memory of the buffers in which the pages of a pool of `slots` arrive before they are expanded [bytes]."""
+    if not (device.is_cuda and scene.encoded):
+        return 0
+    return staging_count(scene, slots) * largest_page(scene)
+
+
+def slots_in(scene: PagedScene, budget: int, device: wp.Device) -> int:
+    """Pages that fit in `budget` bytes beside what stays on the device, at most all; raises `OutOfMemoryError` for
+    none.
+    """
+    size = slot_bytes_of(scene)
+    least = scene.resident_bytes + size + staging_bytes_of(scene, 1, device)
+    if budget < least:
+        raise OutOfMemoryError(
+            f"geometry_budget is {budget:,} bytes, and this scene needs {least:,} at least ({scene.resident_bytes:,} "
+            "that always stay on "
+            f"the device, and one page); raise it, or set it to 0"
+        )
+    away = len(scene.pages) - (0 if scene.home is None else int(np.count_nonzero(scene.home)))
+    slots = min(max(1, away), (budget - scene.resident_bytes) // size)
+    while slots > 1 and scene.resident_bytes + slots * size + staging_bytes_of(scene, slots, device) > budget:
+        slots -= 1
+    return slots
 
 
 def page_transfer(scene: PagedScene, pool: wp.array, slot_bytes: int, device: wp.Device) -> PageTransfer:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ...bvh.node import Layout
+from ...bvh.pages.peers.shared import PeerPages
 from ...device.bulk import digest_of
 from ...scene.description import Scene
 from ...settings.settings import RenderSettings
@@ -24,13 +25,19 @@ class GeometryRequest:
     layout: Layout
     instancing: bool  # as the kernels that shade (`SceneFeatures.instancing`)
     page_folder: Path  # for geometry that lies on disk
+    peers: PeerPages | None = None  # this device's part, where devices hold pages for each other
     cancelled: Callable[[], bool] = lambda: False  # asked on any thread while pages are built, which it ends
 
     def kind(self) -> tuple:
         """The choices that a tree depends on."""
         plan = self.plan
         paged = (
-            (plan.geometry_budget, plan.geometry_store, cut_rule(plan, self.settings))
+            (
+                plan.geometry_budget,
+                plan.geometry_store,
+                cut_rule(plan, self.settings),
+                self.peers.kind if self.peers else (),
+            )
             if plan.method is Method.PAGED
             else ()
         )

@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import warp as wp
 
@@ -14,7 +15,9 @@ from ...bvh.build.scene_tree import BuiltTree, build_scene_tree, refit_scene_tre
 from ...bvh.memory import GeometrySize, check_counts, check_memory, explained_memory_errors
 from ...bvh.node import Layout
 from ...bvh.pages.build import build_paged_scene
-from ...bvh.pages.residency import Residency, staging_bytes_of
+from ...bvh.pages.peers.build import build_with_peers
+from ...bvh.pages.residency import Residency
+from ...bvh.pages.transfer import staging_bytes_of
 from ...bvh.traverse.reference import BuiltReference, build_reference
 from ...bvh.treelets.cut import CutRule
 from ...bvh.treelets.tree import TreeletTree, cut_scene_tree
@@ -327,20 +330,26 @@ def _build(
     on_host = plan.method is Method.PAGED and device.is_cuda
     geometry = upload_geometry(with_motion(flat, corners=on_host), scene, device, on_host)
     if plan.method is Method.PAGED:
-        paged = build_paged_scene(
-            flat,
-            visibility,
-            layout,
-            device,
+        asked: dict[str, Any] = dict(
             budget=plan.geometry_budget,
-            store=plan.geometry_store,
-            folder=request.page_folder,
             rule=cut_rule(request.plan, request.settings),
             spatial_splits=settings.is_on("spatial_splits"),
-            encoded=encodes(layout),
             corners=geometry.positions if device.is_cuda else None,
             cancelled=request.cancelled,
         )
+        if plan.geometry_store == "PEERS":
+            paged = build_with_peers(request.peers, flat, visibility, layout, device, encodes=encodes(layout), **asked)
+        else:
+            paged = build_paged_scene(
+                flat,
+                visibility,
+                layout,
+                device,
+                store=plan.geometry_store,
+                folder=request.page_folder,
+                encoded=encodes(layout),
+                **asked,
+            )
         return Kept(
             fingerprint=fingerprint,
             geometry=geometry,

@@ -10,11 +10,12 @@ import pytest
 import warp as wp
 
 from raybatch_addon.core.bvh.node import Layout
+from raybatch_addon.core.bvh.pages.facts import PageCounts
 from raybatch_addon.core.bvh.pages.paged_scene import PagedScene
-from raybatch_addon.core.bvh.pages.residency import PageCounts, Residency, slots_in
+from raybatch_addon.core.bvh.pages.residency import Residency
 from raybatch_addon.core.bvh.pages.resident import load_nodes
 from raybatch_addon.core.bvh.pages.store import HostStore, Page, PageFileError
-from raybatch_addon.core.bvh.pages.transfer import CudaTransfer
+from raybatch_addon.core.bvh.pages.transfer import CudaTransfer, slots_in
 from raybatch_addon.core.bvh.tree import Tree
 from raybatch_addon.core.errors import OutOfMemoryError
 

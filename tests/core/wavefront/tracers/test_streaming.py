@@ -12,7 +12,7 @@ from benchmarking.ray_order_paging import RayOrderPager
 
 from raybatch_addon.core.bvh.node import Layout
 from raybatch_addon.core.bvh.pages.build import build_paged_scene
-from raybatch_addon.core.bvh.pages.residency import staging_bytes_of
+from raybatch_addon.core.bvh.pages.transfer import staging_bytes_of
 from raybatch_addon.core.bvh.traverse.counts import TraceCounts
 from raybatch_addon.core.rays import RayKind
 from raybatch_addon.core.settings.settings import RenderSettings

@@ -10,8 +10,7 @@ import warp as wp
 
 from ...node import Layout
 from ..chunk import Chunk
-from ..file import PageFileWriter
-from ..packing import NoStore, PackedPage
+from ..packing import NoStore, PackedPage, PageTarget
 from ..store import HostStore, padded, page_buffer
 from .chunks import retyped
 from .encode import encode_on_device
@@ -25,11 +24,7 @@ class DevicePacker:
     """A `PagePacker` of the layout QUANTISED for chunks whose triangles lie on `device`."""
 
     def __init__(
-        self,
-        device: wp.Device,
-        target: HostStore | PageFileWriter | NoStore,
-        encoded: bool,
-        plain: HostStore | None = None,
+        self, device: wp.Device, target: HostStore | PageTarget, encoded: bool, plain: HostStore | None = None
     ):
         """Pages to `target`, with triangles packed where they are `encoded`; `plain`, if given, takes pages as the
         device has them besides.
@@ -105,9 +100,7 @@ class DevicePacker:
             _bring(self._buffer, nodes, triangles, page.node_bytes)
             if self._device.is_cuda:
                 wp.synchronize_event(self._device.stream.record_event())
-            memory = self._buffer.numpy()
-            first = self._target.add(memory[: page.node_bytes])
-            self._target.add(memory[page.node_bytes : size])
+            first = self._target.add_page(self._buffer.numpy()[:size], page.node_bytes)
         return page._replace(node_byte=first, triangle_byte=first + page.node_bytes)
 
 

@@ -1,0 +1,1 @@
+"""Pages in the memory of the devices that share a render: each holds a part of them once, for all."""

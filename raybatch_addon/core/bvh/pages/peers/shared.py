@@ -1,0 +1,78 @@
+"""Where the devices of a session meet: pages that they hold for each other are built by the first that comes."""
+
+from __future__ import annotations
+
+import gc
+import threading
+import time
+import weakref
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import warp as wp
+
+from ....errors import check_cancelled
+from .share import Way
+from .store import BuiltPages
+
+# How often those who wait ask whether the render was cancelled [s]
+_POLL = 0.05
+# Pages of the last frame are waited for at most so long, until the last device gives them up [s]
+_PATIENCE = 5.0
+
+
+class SharedPages:
+    """The pages that the devices of a session have in common, as long as one of them uses them."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._key = b""
+        self._last: weakref.ref[BuiltPages] | None = None
+
+    def get(self, key: bytes, build: Callable[[], BuiltPages], cancelled: Callable[[], bool]) -> BuiltPages:
+        """The pages with this `key`: those that are there, or what `build` makes, whose errors are raised. Others that
+        ask meanwhile wait for it. Raises `BuildCancelledError`.
+        """
+        while not self._lock.acquire(timeout=_POLL):
+            check_cancelled(cancelled)
+        try:
+            there = self._last() if self._last else None
+            if there is not None and self._key == key:
+                return there
+            del there
+            self._wait_for_room(cancelled)
+            made = build()
+            self._key, self._last = key, weakref.ref(made)
+            return made
+        finally:
+            self._lock.release()
+
+    def _wait_for_room(self, cancelled: Callable[[], bool]) -> None:
+        """Until the pages of the last frame are gone: each device gives them up before it asks for others."""
+        if self._last is None or self._last() is None:
+            return
+        gc.collect()
+        until = time.monotonic() + _PATIENCE
+        while self._last() is not None and time.monotonic() < until:
+            check_cancelled(cancelled)
+            time.sleep(_POLL)
+
+
+@dataclass(frozen=True)
+class PeerPages:
+    """A device's part in a render whose devices hold pages for each other."""
+
+    shared: SharedPages
+    devices: tuple[wp.Device, ...]
+    place: int  # of this device among them
+    way: Way = Way(0, False)
+
+    @staticmethod
+    def of(shared: SharedPages, devices: Sequence[wp.Device]) -> list[PeerPages]:
+        """The parts of all `devices`."""
+        return [PeerPages(shared, tuple(devices), place) for place in range(len(devices))]
+
+    @property
+    def kind(self) -> tuple:
+        """What pages and their place depend on."""
+        return (self.place, *(each.alias for each in self.devices))
