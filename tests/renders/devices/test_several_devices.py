@@ -62,7 +62,7 @@ def several(monkeypatch):
 
 
 def settings_of(way: str):
-    least = {"paged": 1, "peers": 4}.get(way, 0) * schedule_scenes.least_budget(DEVICE)
+    least = {"paged": 1, "peers": 2}.get(way, 0) * schedule_scenes.least_budget(DEVICE)
     budget = dict(geometry_budget=least + 1000) if least else {}
     return SETTINGS.replace(**{"thread_count": 1, "sample_count": 12, **WAYS[way], **budget})
 

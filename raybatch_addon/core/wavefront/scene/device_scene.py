@@ -198,8 +198,9 @@ class DeviceScene:
     def warnings(self) -> list[str]:
         """What the user should know of it."""
         found = [*self.images.warnings, *(self.volumes.warnings if self.volumes else ())]
-        if self.paged and "page_file_warning" in self.paged.statistics:
-            found.append(self.paged.statistics["page_file_warning"])
+        if self.paged:
+            made = self.paged.statistics
+            found += [made[name] for name in ("page_file_warning", "store_warning") if name in made]
         return found
 
     @property

@@ -44,7 +44,11 @@ def build_with_peers(
             return _built(way, peers, flat, visibility, layout, device, budget=budget, cancelled=cancelled, **more)
         except ShareTooLargeError:
             pass
-    return _built(ways[-1], peers, flat, visibility, layout, device, budget=budget, cancelled=cancelled, **more)
+    made = _built(ways[-1], peers, flat, visibility, layout, device, budget=budget, cancelled=cancelled, **more)
+    made.statistics["store_warning"] = (
+        f"geometry_store is HOST, not PEERS: a geometry budget of {budget:,} bytes leaves no room for pages of others"
+    )
+    return made
 
 
 def _built(way: Any, peers: PeerPages, *given: Any, **more: Any) -> PagedScene:

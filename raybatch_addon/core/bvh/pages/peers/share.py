@@ -26,13 +26,14 @@ def ways_to_hold(budget: int, count: int, plain: int, packed: int | None) -> lis
 
     `plain` and `packed`: bytes of all pages as the device has them, and with triangles packed (None: they never are).
     Where the shares hold all pages plain, those that a device holds itself are read where they lie, and rays can read
-    the others' too; packed ones are fewer bytes for shares that are short of them. The last way is without shares, for
-    budgets that are too small for anything beside one page.
+    the others' too; packed ones are fewer bytes for shares that are short of them. Then come smaller shares, and none,
+    for budgets that have little room beside what stays on the device.
     """
     most = int(SHARE_MOST * budget)
     each = -(-plain // count)
     first = Way(each, False) if each <= most or packed is None else Way(-(-packed // count), True)
-    return [Way(min(first.share, most), first.encoded), Way(0, packed is not None)]
+    last = packed is not None
+    return [Way(min(first.share, most), first.encoded), Way(min(first.share, most // 2), last), Way(0, last)]
 
 
 def hold_all(budget: int, count: int, stored: int) -> bool:

@@ -168,7 +168,7 @@ class PeerPlace:
         """Where pages lie, by name."""
         return {
             "peer_count": len(self.store.devices),
-            "peer_bytes": sum(self.store.held_by(place) for place in range(len(self.store.devices))),
+            "peer_bytes": self.byte_count - self.store.bytes_on_host,
             "host_bytes": self.store.bytes_on_host,
         }
 

@@ -1,0 +1,1 @@
+"""Measures of devices that share a render."""

@@ -1,0 +1,90 @@
+"""Devices that share a render hold pages of its geometry for each other: the film of one device, pages built once."""
+
+from dataclasses import replace
+
+import pytest
+
+from raybatch_addon.core import session_device
+from raybatch_addon.core.bvh.pages.peers import build as peers_build
+from raybatch_addon.core.bvh.pages.peers.store import PeerStore
+from raybatch_addon.core.scene.description import Scene
+from tests.renders.devices.test_several_devices import COUNT, assert_same_film, settings_of, several
+from tests.support import scenes
+from tests.support.under_test import DEVICE
+from tests.support.watched_renders import FRAME
+
+pytestmark = pytest.mark.usefixtures("general_kernels")
+
+__all__ = ["several"]
+
+
+@pytest.fixture
+def stores(monkeypatch) -> list[PeerStore]:
+    """The stores that are made."""
+    made = []
+
+    def noted(self, *given, within=PeerStore.__init__):
+        made.append(self)
+        within(self, *given)
+
+    monkeypatch.setattr(PeerStore, "__init__", noted)
+    return made
+
+
+def moved(scene: Scene) -> Scene:
+    """The same with its meshes a little larger."""
+    return replace(scene, meshes=tuple(replace(mesh, positions=1.01 * mesh.positions) for mesh in scene.meshes))
+
+
+def test_pages_are_built_once_for_all_and_kept_for_the_next_render(several, stores):
+    settings = settings_of("peers")
+    made = []
+    for scene in (scenes.mixed(FRAME), scenes.mixed(FRAME), moved(scenes.mixed(FRAME))):
+        tree = several.render(scene, settings).statistics["tree"]
+        assert tree["store"] == "PEERS" and tree["peer_count"] == COUNT and tree["peer_bytes"] > 0
+        made.append(len(stores))
+    # a share may be found too large once it is built
+    assert made[0] < COUNT and made[1] == made[0] and made[2] == 2 * made[0]
+
+
+def test_several_devices_of_other_stores_have_pages_of_their_own(several, stores):
+    film = several.render(scenes.mixed(FRAME), settings_of("peers").replace(geometry_store="HOST"))
+    assert film.statistics["tree"]["store"] == "HOST" and "peer_count" not in film.statistics["tree"] and not stores
+
+
+def test_one_device_keeps_pages_in_host_memory_and_says_so(session, stores):
+    film = session.render(scenes.mixed(FRAME), settings_of("peers"))
+    assert film.statistics["tree"]["store"] == "HOST" and not stores
+    assert "geometry_store is HOST, not PEERS: one device renders" in film.statistics["warnings"]
+
+
+def test_devices_that_fail_to_read_each_other_use_host_memory(session, several, stores, monkeypatch):
+    expected = session.render(scenes.mixed(FRAME), settings_of("peers"))
+    monkeypatch.setattr(session_device, "let_read", lambda devices: "cuda:1 cannot read the memory of cuda:0")
+    film = several.render(scenes.mixed(FRAME), settings_of("peers"))
+    assert_same_film(film, expected)
+    assert film.statistics["tree"]["store"] == "HOST" and not stores
+    found = "geometry_store is HOST, not PEERS: cuda:1 cannot read the memory of cuda:0"
+    assert film.statistics["warnings"].count(found) == 1
+
+
+def test_a_failure_on_one_device_leaves_the_session_well(session, several, monkeypatch):
+    settings = settings_of("peers")
+    expected, build, begun = session.render(scenes.mixed(FRAME), settings), peers_build.build_paged_scene, []
+
+    def failing(*given, **more):
+        begun.append(1)
+        if len(begun) == 2:
+            raise RuntimeError("it broke")
+        return build(*given, **more)
+
+    monkeypatch.setattr(peers_build, "build_paged_scene", failing)
+    with pytest.raises(Exception, match="it broke"):
+        several.render(scenes.mixed(FRAME), settings)
+    assert_same_film(several.render(scenes.mixed(FRAME), settings), expected)
+
+
+@pytest.mark.skipif(DEVICE == "cpu", reason="the CPU keeps pages on disk, unless it is told otherwise")
+def test_cuda_devices_choose_it_themselves(several):
+    found = several.render(scenes.mixed(FRAME), settings_of("peers").replace(geometry_store="AUTO")).statistics
+    assert found["tree"]["store"] == "PEERS" == found["batching"]["auto"]["geometry_store"]["value"]
