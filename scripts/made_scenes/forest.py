@@ -46,7 +46,7 @@ def forest(count: int, terrain_edge: int, detail: int, seed: int, width: int, he
         outer = standing(
             np.column_stack([points, heights]), random.uniform(0, 2 * math.pi, number), random.uniform(0.6, 1.3, number)
         )
-        kinds = random.integers(0, KINDS, number)
+        kinds = np.arange(start, start + number) % KINDS  # of all kinds as many
         for kind, (parts, inner) in enumerate(trees):
             chosen = outer[kinds == kind]
             placements.add(np.tile(parts, len(chosen)), composed(chosen, inner))

@@ -57,11 +57,15 @@ class GeometrySize:
     @staticmethod
     def of(scene: Scene) -> GeometrySize:
         """The meshes that `scene` places."""
-        used, uses = np.unique(scene.instances.mesh, return_counts=True)
+        instances = scene.instances
+        counts = np.bincount(instances.mesh, minlength=len(scene.meshes))
+        used = np.flatnonzero(counts)
+        uses = counts[used]
         meshes = [scene.meshes[i] for i in used.tolist()]
         filled = [(mesh, count) for mesh, count in zip(meshes, uses.tolist(), strict=True) if len(mesh.triangles)]
         trees = [len(mesh.triangles) for mesh, count in filled if count > 1]
-        seen = dict(zip(scene.instances.mesh.tolist(), (scene.instances.visibility & RAY_BITS).tolist(), strict=True))
+        once = np.flatnonzero(counts[instances.mesh] == 1)
+        seen = dict(zip(instances.mesh[once].tolist(), (instances.visibility[once] & RAY_BITS).tolist(), strict=True))
         baked: dict[int, int] = {}  # those that are placed once share a tree where they are seen alike
         for i, mesh, count in zip(used.tolist(), meshes, uses.tolist(), strict=True):
             if count == 1:

@@ -105,7 +105,9 @@ def flatten(scene: Scene, groups: Sequence[Group] | None = None, bake: Bake | No
 
     transform = np.array(instances.transform, np.float32).reshape(-1, 3, 4)
     transform[baked] = IDENTITY
-    instance_mesh = np.array([mesh_position.get(int(mesh), 0) for mesh in instances.mesh], np.int32)
+    position = np.zeros(len(scene.meshes), np.int32)
+    position[list(mesh_position)] = list(mesh_position.values())
+    instance_mesh = position[instances.mesh]
     motion = _motion(scene, mesh_position) if apart(scene).any() else None
     return _joined(chunks, instance_mesh, transform, tuple(merged), shared, motion)
 

@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..device.bulk import in_slices
 from .description import InstanceMaps, Scene
 
 # Floats of a step: quaternion (real part last), translation, stretch row by row, and nothing up to the size of two maps
 KEY_FLOATS = 24
 # Parts of a step in which a rotation turns by at most so much [rad], where boxes are found; and the most parts of one
 _TURN, _PARTS_MOST = 0.1, 64
+# Maps that a thread looks at together
+_MAPS_AT_ONCE = 1 << 16
 
 
 def instance_maps(maps: np.ndarray) -> InstanceMaps:
@@ -131,3 +134,20 @@ def way_off(keys: np.ndarray, reach: np.ndarray, parts: int) -> np.ndarray:
     change = np.linalg.norm(stretch[:, 1:] - stretch[:, :-1], axis=(2, 3))
     second = turn**2 * size + 2 * turn * change
     return 2 * second.max(1) * reach / (8 * parts**2)
+
+
+def map_sizes(maps: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of maps [..., 3, 4]: whether they are finite, their singular values, float64, the largest first, and whether they
+    have an inverse in float32: the smallest one is not lost in the rounding of the largest.
+    """
+    shape, flat = maps.shape[:-2], maps.reshape(-1, 3, 4)
+    finite, sizes = np.empty(len(flat), bool), np.empty((len(flat), 3))
+
+    def measure(part: slice) -> None:
+        finite[part] = np.isfinite(flat[part]).all((1, 2))
+        linear = np.where(finite[part, None, None], flat[part, :, :3], 0).astype(np.float64)
+        sizes[part] = np.linalg.svd(linear, compute_uv=False)
+
+    in_slices(len(flat), measure, _MAPS_AT_ONCE)
+    regular = sizes[:, 2] > sizes[:, 0] * np.finfo(np.float32).eps
+    return finite.reshape(shape), sizes.reshape(*shape, 3), regular.reshape(shape)

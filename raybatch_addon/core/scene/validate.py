@@ -11,6 +11,7 @@ import numpy as np
 from ..errors import SceneError
 from .description import Camera, Frame, InstanceMaps, Instances, Light, LightKind, Mesh, Scene, World
 from .frozen import fact
+from .motion import map_sizes
 from .notice import Notice, Weight, quoted
 from .passes import PASSES, is_pass
 
@@ -287,17 +288,8 @@ def _with_regular_places(instances: Instances) -> Instances:
 
 def _is_regular(maps: np.ndarray) -> np.ndarray:
     """Whether maps [..., 3, 4] are finite and have an inverse: bool, shape [...]."""
-    finite, _, regular = _sizes(maps)
+    finite, _, regular = map_sizes(maps)
     return finite & regular
-
-
-def _sizes(maps: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of maps [..., 3, 4]: whether they are finite, their singular values, float64, the largest first, and whether they
-    have an inverse in float32: the smallest one is not lost in the rounding of the largest.
-    """
-    finite = np.isfinite(maps).all((-2, -1))
-    sizes = np.linalg.svd(np.where(finite[..., None, None], maps[..., :3], 0).astype(np.float64), compute_uv=False)
-    return finite, sizes, sizes[..., 2] > sizes[..., 0] * np.finfo(np.float32).eps
 
 
 def _with_maps(instances: Instances, name: str, maps: InstanceMaps | None) -> Instances:
@@ -339,7 +331,7 @@ def _checked_instances(scene: Scene, warnings: list[str]) -> Instances:
     if len(scene.instances) == 0:
         return scene.instances
     instances = _with_regular_places(_with_usable_maps(scene, warnings))
-    finite, scales, regular = _sizes(instances.transform)
+    finite, scales, regular = map_sizes(instances.transform)
     reach, size = (values[instances.mesh] for values in _mesh_extents(scene.meshes))
     near = (reach * scales[:, 0] <= COORDINATE_MAX) & (np.abs(instances.transform).max((1, 2)) <= COORDINATE_MAX)
     # in the world, and for meshes that stay in object space also there

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...device.bulk import in_slices
 from ...scene.flatten import FlatGeometry
 from ...scene.motion import KEY_FLOATS, knots, maps_at, way_off
 
@@ -33,13 +34,18 @@ class Entries:
         """World boxes of the entries `which` (all) from one time to another, float64, shape [n, 2, 3], from those of
         the mesh trees, shape [m, 2, 3] (Arvo 1990).
         """
-        box = mesh_boxes.astype(np.float64)[self.mesh[which]]
-        found = _moved_boxes(self.to_world[which], box)
-        row = np.full(len(box), -1) if self.motion is None else self.motion[which]
+        each, mesh, maps = mesh_boxes.astype(np.float64), self.mesh[which], self.to_world[which]
+        found = np.empty((len(mesh), 2, 3))
+
+        def move(part: slice) -> None:
+            found[part] = _moved_boxes(maps[part], each[mesh[part]])
+
+        in_slices(len(mesh), move, _IN_A_THREAD)
+        row = np.full(len(mesh), -1) if self.motion is None else self.motion[which]
         moving = np.flatnonzero(row >= 0)
         for begin in range(0, len(moving), _AT_ONCE):
             some = moving[begin : begin + _AT_ONCE]
-            found[some] = boxes_over_time(self.keys[row[some]], box[some], first, last)
+            found[some] = boxes_over_time(self.keys[row[some]], each[mesh[some]], first, last)
         return found
 
     def moving(self) -> np.ndarray:
@@ -67,6 +73,8 @@ class Entries:
 
 # Moving entries that are looked at together, for which arrays are made of each at many times
 _AT_ONCE = 1024
+# Entries whose maps a thread works on together
+_IN_A_THREAD = 1 << 16
 # How much larger a map's condition may be than at the times that are looked at. A scale that goes by 0 between them has
 # no bound: rays there are as wrong as their own arithmetic
 _BETWEEN_KNOTS = 2.0
@@ -94,13 +102,21 @@ def boxes_over_time(keys: np.ndarray, box: np.ndarray, first: float = 0.0, last:
 
 def _condition(to_world: np.ndarray, from_world: np.ndarray) -> np.ndarray:
     """The product of the largest sums of a row's sizes of maps [n, 3, 4] and of their inverses: shape [n]."""
-    return np.abs(to_world[:, :, :3]).sum(2).max(1) * np.abs(from_world[:, :, :3]).sum(2).max(1)
+    found = np.empty(len(to_world))
+
+    def measure(part: slice) -> None:
+        there, back = (np.abs(maps[part, :, :3]).sum(2).max(1) for maps in (to_world, from_world))
+        found[part] = there * back
+
+    in_slices(len(to_world), measure, _IN_A_THREAD)
+    return found
 
 
 def entries_of(flat: FlatGeometry, visibility: np.ndarray) -> Entries:
     """The entries of `flat`; `visibility` holds the bits of each instance, int, shape [instance_count]."""
     groups, shared = flat.merged, flat.shared
-    _, mesh = np.unique(flat.instance_mesh[shared], return_inverse=True)
+    mesh = flat.instance_mesh[shared]
+    mesh = (np.cumsum(np.bincount(mesh) > 0) - 1)[mesh]  # numbers without gaps
     to_world = np.concatenate(
         [np.broadcast_to(np.eye(3, 4), (len(groups), 3, 4)), flat.instance_transform[shared].astype(np.float64)]
     )
@@ -124,5 +140,12 @@ def entries_of(flat: FlatGeometry, visibility: np.ndarray) -> Entries:
 
 def inverse_transforms(matrices: np.ndarray) -> np.ndarray:
     """Inverses of affine maps, float64, shape [n, 3, 4]."""
-    inverse = np.linalg.inv(matrices[:, :, :3])
-    return np.concatenate([inverse, -inverse @ matrices[:, :, 3:]], axis=2)
+    found = np.empty(matrices.shape)
+
+    def invert(part: slice) -> None:
+        inverse = np.linalg.inv(matrices[part, :, :3])
+        found[part, :, :3] = inverse
+        found[part, :, 3:] = -inverse @ matrices[part, :, 3:]
+
+    in_slices(len(matrices), invert, _IN_A_THREAD)
+    return found

@@ -15,7 +15,7 @@ from raybatch_addon.core.bvh.pages.build import build_paged_scene
 from raybatch_addon.core.bvh.pages.peers import access
 from raybatch_addon.core.bvh.pages.peers import store as store_module
 from raybatch_addon.core.bvh.pages.peers.build import build_with_peers
-from raybatch_addon.core.bvh.pages.peers.share import SHARE_MOST, Way, hold_all, ways_to_hold
+from raybatch_addon.core.bvh.pages.peers.share import PEER_SHARE_MOST, Hold, hold_all, ways_to_hold
 from raybatch_addon.core.bvh.pages.peers.shared import PeerPages, SharedPages
 from raybatch_addon.core.bvh.pages.peers.store import BuiltPages, PeerPlace, PeerStore
 from raybatch_addon.core.bvh.pages.residency import Residency
@@ -172,13 +172,13 @@ def test_why_devices_hold_none_for_each_other(monkeypatch):
 
 
 def test_shares():
-    most = int(1000 * SHARE_MOST)
+    most = int(1000 * PEER_SHARE_MOST)
     # all of it as the device has it, where there is room
     half = most // 2
-    assert ways_to_hold(1000, 4, plain=2000, packed=900) == [Way(500, False), Way(half, True), Way(0, True)]
-    assert ways_to_hold(1000, 4, plain=4 * most + 1, packed=900) == [Way(225, True), Way(225, True), Way(0, True)]
-    assert ways_to_hold(1000, 2, plain=10**6, packed=10**5) == [Way(most, True), Way(half, True), Way(0, True)]
-    assert ways_to_hold(1000, 2, plain=10**6, packed=None) == [Way(most, False), Way(half, False), Way(0, False)]
+    assert ways_to_hold(1000, 4, plain=2000, packed=900) == [Hold(500, False), Hold(half, True), Hold(0, True)]
+    assert ways_to_hold(1000, 4, plain=4 * most + 1, packed=900) == [Hold(225, True), Hold(225, True), Hold(0, True)]
+    assert ways_to_hold(1000, 2, plain=10**6, packed=10**5) == [Hold(most, True), Hold(half, True), Hold(0, True)]
+    assert ways_to_hold(1000, 2, plain=10**6, packed=None) == [Hold(most, False), Hold(half, False), Hold(0, False)]
     assert hold_all(1000, 2, 2 * most) and not hold_all(1000, 2, 2 * most + 1)
 
 

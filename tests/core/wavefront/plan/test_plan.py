@@ -9,7 +9,7 @@ import pytest
 
 from raybatch_addon.core.bvh.memory import COPY_BYTES, NODES_OVER_TIME, TREE_BYTES_MOST, GeometrySize
 from raybatch_addon.core.bvh.node import Layout
-from raybatch_addon.core.bvh.pages.peers.share import SHARE_MOST
+from raybatch_addon.core.bvh.pages.peers.share import PEER_SHARE_MOST
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.plan.cost_model import split_seconds
 from raybatch_addon.core.wavefront.plan.plan import (
@@ -118,7 +118,7 @@ def test_devices_hold_pages_for_each_other_where_they_can_hold_all():
     assert peers_plan(is_cuda=False).geometry_store == "DISK"
     assert peers_plan(peers=1, apart="one device renders").geometry_store == "DISK"
     packed = GeometrySize(TRIANGLES, 0, TRIANGLES, smooth=True).packed_bytes()
-    least = int(packed / (2 * SHARE_MOST)) + 2
+    least = int(packed / (2 * PEER_SHARE_MOST)) + 2
     assert peers_plan(geometry_budget=least).geometry_store == "PEERS"
     assert peers_plan(geometry_budget=least - 10).geometry_store == "DISK"
     assert peers_plan(geometry_budget=least - 10, geometry_store="PEERS").geometry_store == "PEERS"

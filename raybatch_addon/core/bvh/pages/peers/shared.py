@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import warp as wp
 
 from ....errors import check_cancelled
-from .share import Way
+from .share import Hold
 from .store import BuiltPages
 
 # How often those who wait ask whether the render was cancelled [s]
@@ -65,7 +65,7 @@ class PeerPages:
     shared: SharedPages
     devices: tuple[wp.Device, ...]
     place: int  # of this device among them
-    way: Way = Way(0, False)
+    way: Hold = Hold(0, False)
 
     @staticmethod
     def of(shared: SharedPages, devices: Sequence[wp.Device]) -> list[PeerPages]:
