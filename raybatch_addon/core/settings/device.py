@@ -142,12 +142,13 @@ class MemorySettings:
                 "memory of a CUDA device where that is large enough, else disk",
             ),
             ("HOST", "Host RAM", "The host's memory, page-locked for a CUDA device"),
+            ("DISK", "Disk", "A file beside the cache of compiled kernels, written once and used again"),
+            # last: files of Blender keep the place in this list
             (
                 "PEERS",
                 "Other GPUs",
                 "Memory of all devices of one model that render, each of which holds a share; the host's where that "
                 "is not enough",
             ),
-            ("DISK", "Disk", "A file beside the cache of compiled kernels, written once and used again"),
         ),
     )
