@@ -4,7 +4,6 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,8 +18,8 @@ from raybatch_addon.core.scene.archive import load_scene
 from raybatch_addon.core.scene.validate import checked_scene
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
+from tests.support.command_line import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 MADE = {"forest": forest, "island": island}
 
 

@@ -1,0 +1,1 @@
+"""Scripts that make large scenes, and measure them on several devices."""
