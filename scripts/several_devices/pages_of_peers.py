@@ -86,7 +86,7 @@ def measured(device: str, scene: Scene, settings: RenderSettings, runs: int) -> 
             film = session.render(scene, settings)
             seconds.append(round(time.perf_counter() - start, 3))
         found = film.statistics
-        tree, batching = found["tree"], found["batching"]
+        tree, batching = found["tree"] or {}, found["batching"] or {}
         names = ("store", "encoded", "page_bytes", "pages", "stored_bytes", "peer_bytes", "host_bytes")
         row = {
             "devices": len(found["devices"]),
