@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from made_scenes.noise import fractal_noise
+from made_scenes.placing import PART
+from raybatch_addon.core.device.bulk import in_slices
 from raybatch_addon.core.scene.description import Mesh
 
 
@@ -21,18 +23,19 @@ class Terrain:
     def of(size: float, edge: int, seed: int, island: bool, height: float) -> Terrain:
         """`edge` x `edge` points; an island has a shore, below which the ground falls under height 0."""
         heights, steps = np.empty((edge, edge), np.float32), np.linspace(-1, 1, edge)
-        for first in range(0, edge, 256):  # rows at a time: noise takes many arrays
-            y, x = np.meshgrid(steps[first : first + 256], steps, indexing="ij")
+
+        def fill(rows: slice) -> None:  # some at a time: noise takes many arrays
+            y, x = np.meshgrid(steps[rows], steps, indexing="ij")
             hills = fractal_noise(3 * x, 3 * y, seed, 9)
             if not island:
-                heights[first : first + 256] = height * hills
-                continue
+                heights[rows] = height * hills
+                return
             shore = 1 - np.hypot(x, y) / (0.78 + 0.16 * fractal_noise(2 * x, 2 * y, seed + 50, 5))
             ridge = 1 - np.abs(fractal_noise(2.2 * x, 2.2 * y, seed + 90, 8))
             inland = np.clip(1.6 * shore, 0, 1)
-            heights[first : first + 256] = height * (
-                0.35 * np.tanh(2 * shore) + inland**2 * (0.75 * ridge**3 + 0.35 * hills)
-            )
+            heights[rows] = height * (0.35 * np.tanh(2 * shore) + inland**2 * (0.75 * ridge**3 + 0.35 * hills))
+
+        in_slices(edge, fill, max(1, PART // edge))
         return Terrain(size, heights)
 
     @property
