@@ -24,6 +24,7 @@ from .scene.description import Scene
 from .scene.features import SceneFeatures
 from .scene.notice import by_weight, described
 from .settings.settings import RenderSettings
+from .wavefront.adaptive.active_pixels import ActivePixels
 from .wavefront.adaptive.ranges import first_active
 from .wavefront.integrator import TileIntegrator
 from .wavefront.plan.plan import Choice, Method, TracingPlan, report_of
@@ -69,7 +70,7 @@ class Job:
             if tile.sample_count:
                 self.on_tile(Tile(tile.x, tile.y, tile.width, tile.height, tile.passes))
 
-    def begin(self, film: Film, after: Film | None, devices: Sequence[wp.Device]) -> ResumeState:
+    def begin(self, film: Film, after: Film | ActivePixels | None, devices: Sequence[wp.Device]) -> ResumeState:
         """The state of a render on `devices` that begins, or that goes on with what `film` has; `film` loses it
         meanwhile.
         """
@@ -84,7 +85,7 @@ class Job:
             self.settings = self.settings.replace(sample_order=state.sample_order)
         return state
 
-    def _all_tiles(self, after: Film | None, devices: Sequence[wp.Device]) -> ResumeState:
+    def _all_tiles(self, after: Film | ActivePixels | None, devices: Sequence[wp.Device]) -> ResumeState:
         """The state of a render that begins."""
         device = devices[0]
         settings, policy = self.settings, RoundPolicy.of(self.settings, self.marks, self.sample_first)

@@ -32,6 +32,7 @@ from .scene.features import SceneFeatures, derive_features
 from .scene.validate import checked_scene
 from .session_device import Place, SessionDevice, pages_in_common
 from .settings.settings import RenderSettings
+from .wavefront.adaptive.active_pixels import ActivePixels
 from .wavefront.adaptive.ranges import check_after, chosen_looks, pixels_can_end
 from .wavefront.plan.plan import Choice
 from .wavefront.render.events import RenderEvents, snapshot_watchers
@@ -118,7 +119,7 @@ class Session:
         observers: Sequence[RenderObserver] = (),
         sample_first: int = 0,
         resume: Film | None = None,
-        after: Film | None = None,
+        after: Film | ActivePixels | None = None,
         parts: Parts | None = None,
         checkpoint: Checkpoint | None = None,
     ) -> Film:
@@ -136,7 +137,7 @@ class Session:
                 (`Film.merge`).
             resume: the film of a cancelled render of the same scene and settings: goes on from there.
             after: with adaptive sampling and a `sample_first` above 0, the finished film of all samples up to the last
-                look at the noise before it: by that some pixels have ended their sampling.
+                look at the noise before it: by that some pixels have ended their sampling. Or which ones did.
             parts: the clock of a render that began before this call, and may go on after it; default: one of this call.
             checkpoint: goes on from what is in its file, unless there is `resume`; shows it, and keeps it there.
 

@@ -85,7 +85,7 @@ class Checkpoint:
         kept = None
         try:
             kept = load_kept(self.path)
-            if reason := _why_not(kept, identity, sample_first):
+            if reason := why_not_gone_on(kept, identity, sample_first):
                 raise CheckpointError(
                     f"{self.path} cannot be gone on with: {reason}; render as it was begun, or name another checkpoint"
                 )
@@ -205,7 +205,7 @@ class Checkpoint:
             self.warnings.append(text)
 
 
-def _why_not(kept: KeptFilm, identity: FilmIdentity, sample_first: int) -> str:
+def why_not_gone_on(kept: KeptFilm, identity: FilmIdentity, sample_first: int) -> str:
     """Why a render of `identity` cannot go on from what is `kept`; empty where it can."""
     progress, began, asked = kept.progress, kept.identity.settings, identity.settings
     if reason := identity.why_not(kept.identity):

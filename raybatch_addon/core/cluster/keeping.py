@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
+import dataclasses
 import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from ..checkpoint.checkpoint import why_not_gone_on
 from ..checkpoint.file import CheckpointError, KeptFilm, load_kept
 from ..checkpoint.identity import FilmIdentity
-from ..checkpoint.merging import joined, range_of, save_merged
+from ..checkpoint.merging import joined, save_merged
 from ..scene.description import Scene
 from ..settings.settings import RenderSettings
 from .connection import ClusterError
+from .rounds import ClusterRounds
 
 
 class ClusterKeeper:
     """The film of all samples from the first one on that are here."""
 
-    def __init__(self, sample_first: int, path: Path | None = None, interval: float = 60.0):
-        """`path`: the file that keeps it, written at most once in `interval` seconds."""
-        self._first, self._path, self._interval = sample_first, path, interval
+    def __init__(self, first: int, path: Path | None = None, interval: float = 60.0):
+        """`first`: the first sample. `path`: the file that keeps it, written at most once in `interval` seconds."""
+        self.first, self._path, self._interval = first, path, interval
         self.film: KeptFilm | None = None
         self.shares: list[dict[str, Any]] = []  # who rendered which samples since
         self._device = ""  # whose bits they are
@@ -35,16 +38,12 @@ class ClusterKeeper:
             return
         kept = load_kept(self._path)
         own = FilmIdentity.of_device(scene, settings, kept.identity.device)
-        if reason := own.why_not(kept.identity):
+        if reason := why_not_gone_on(kept, own, self.first):
             raise CheckpointError(f"{self._path} cannot be gone on with: {reason}; name another checkpoint")
-        if not kept.progress.is_between_rounds or kept.progress.sample_first != self._first:
+        if not kept.progress.is_between_rounds:
             raise CheckpointError(
-                f"{self._path} cannot be gone on with on a cluster: its pixels do not have the same samples, from "
-                f"{self._first} on; go on with it without --cluster, or name another checkpoint"
-            )
-        if range_of(kept).end > self._first + settings.sample_count:
-            raise CheckpointError(
-                f"{self._path} has more samples than are asked for: set sample_count to {kept.progress.done} or more"
+                f"{self._path} cannot be gone on with on a cluster: its pixels do not have the same samples; go on "
+                "with it without --cluster, or name another checkpoint"
             )
         self.film, self._device = kept, kept.identity.device
         report(f"goes on from {self._path}: {kept.progress.done} of {settings.sample_count:,} samples are there")
@@ -52,7 +51,7 @@ class ClusterKeeper:
     @property
     def end(self) -> int:
         """The first sample that is not here."""
-        return self._first + (self.film.progress.done if self.film else 0)
+        return self.first + (self.film.progress.done if self.film else 0)
 
     def check(self, share: dict[str, Any]) -> None:
         """Raise `ClusterError` for samples of an unlike device."""
@@ -68,14 +67,23 @@ class ClusterKeeper:
         is_writing = self._writing is not None and self._writing.is_alive()
         return self._path is not None and not is_writing and time.monotonic() >= self._due_at
 
-    def add(self, film: KeptFilm, shares: list[dict[str, Any]]) -> None:
-        """The samples that follow have come."""
-        self.film = film if self.film is None else joined(self.film, film)
+    def with_next(self, film: KeptFilm) -> KeptFilm:
+        """What is here with the samples of `film`, which follow."""
+        return film if self.film is None else joined(self.film, film)
+
+    def keep(self, film: KeptFilm, shares: list[dict[str, Any]], rounds: ClusterRounds) -> None:
+        """`film` is what is here from now on; `shares` of what is new in it, `rounds` what was decided by it."""
+        self.film = film
         self.shares += shares
         self._due_at = time.monotonic() + self._interval
         if self._path is not None:
             self.wait()
-            self._writing = threading.Thread(target=self._write, args=(self.film,))
+            settings = film.identity.settings
+            if rounds.policy.error_target:  # by which a film that has all samples is told from others
+                settings = {**settings, "sample_count": rounds.policy.sample_count}
+            identity = dataclasses.replace(film.identity, settings=settings)
+            written = dataclasses.replace(film, identity=identity, progress=rounds.progress(film.progress))
+            self._writing = threading.Thread(target=self._write, args=(written,))
             self._writing.start()
 
     def wait(self) -> None:

@@ -37,6 +37,7 @@ class RangeDeal:
     first: int
     end: int
     task_seconds: float = TASK_SECONDS
+    like: float | None = None  # what a sample should take, as long as none was rendered [s]
     _next: int = field(init=False)
     _seconds: float = 0.0  # of samples that were rendered
     _samples: int = 0
@@ -59,6 +60,11 @@ class RangeDeal:
         """What a sample of every pixel takes a worker in the mean [s]; None as long as none was rendered."""
         return self._seconds / self._samples if self._samples else None
 
+    @property
+    def _sample_seconds(self) -> float | None:
+        """The same, or what it should be."""
+        return self.sample_seconds or self.like
+
     def note(self, samples: SampleRange, seconds: float) -> None:
         """To render `samples` took a worker so long [s], with a film and a scene that were there."""
         self._seconds, self._samples = self._seconds + seconds, self._samples + samples.count
@@ -71,7 +77,7 @@ class RangeDeal:
         left = self.end - self._next
         if left <= 0:
             return None
-        most, a_sample = math.ceil(left / max(workers, 1) * TASK_LEFT_SHARE), self.sample_seconds
+        most, a_sample = math.ceil(left / max(workers, 1) * TASK_LEFT_SHARE), self._sample_seconds
         if a_sample is None:
             wanted = (self.end - self.first) / (100 * max(workers, 1))
         else:
@@ -84,7 +90,7 @@ class RangeDeal:
 
     def cut(self, samples: SampleRange) -> list[SampleRange]:
         """`samples` in ranges of a task each, to render them again."""
-        a_sample = self.sample_seconds
+        a_sample = self._sample_seconds
         count = samples.count if a_sample is None else max(1, math.floor(self.task_seconds / a_sample))
         return [SampleRange(i, min(i + count, samples.end)) for i in range(samples.first, samples.end, count)]
 

@@ -3,31 +3,24 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
+from ..checkpoint.file import KeptFilm
+from ..film import Film
 from . import films
 from .connection import ClusterError, Connection, Worker, told, why_lost
 from .keeping import ClusterKeeper
-from .parts import SceneParts
+from .parts import SceneParts, part_digest
 from .ranges import MergeTree, RangeDeal, SampleRange
+from .rounds import ClusterRounds
 from .staging import Staging
 
 # How often a picture of what is there is asked for [s]
 PICTURE_SECONDS = 5.0
 # Tasks that fail, but not by the end of their worker, are rendered so many times
 _TRIES = 3
-
-
-@dataclass(frozen=True)
-class ClusterJob:
-    """What is to be rendered."""
-
-    parts: SceneParts
-    first: int  # sample
-    end: int
 
 
 @dataclass
@@ -54,23 +47,42 @@ class _Film:
     secured: Future | None = None  # is done when two workers have it: else the end of one loses it
 
 
+@dataclass(frozen=True)
+class _Received:
+    """The samples of a film that came, beside those that were here."""
+
+    kept: KeptFilm
+    shares: list[dict[str, Any]]  # of the film that came
+    rounds: ClusterRounds
+    film: Film | None  # of all, where it was looked at
+
+
 class ClusterRender:
     """The state of one render; `step` goes on with it, and never waits."""
 
-    def __init__(self, connection: Connection, job: ClusterJob, keeper: ClusterKeeper):
-        self._connection, self._job, self._keeper = connection, job, keeper
+    def __init__(self, connection: Connection, parts: SceneParts, keeper: ClusterKeeper, rounds: ClusterRounds):
+        self._connection, self._scene, self._keeper = connection, parts, keeper
+        self.rounds = rounds
+        self._first = keeper.first
         self._helpers = ThreadPoolExecutor(max_workers=4, thread_name_prefix="RayBatch cluster")
         self._failures: dict[SampleRange, int] = {}
         self._pictures: list[dict[str, Any]] = []
+        self.wants_pictures = False  # somebody looks at them
         self.workers: list[Worker] = []
         self.tasks_again = 0  # tasks that were rendered again, or by two
         self.rays = 0  # that were traced
-        self._begin()
+        self.begin()
 
-    def _begin(self) -> None:
-        """What is not here is to be rendered, by a cluster that knows of nothing."""
-        self._staging = Staging(self._connection, self._job.parts)
-        self._deal = RangeDeal(self._keeper.end, self._job.end)
+    def begin(self, like: float | None = None) -> None:
+        """What is not here of the round is to be rendered, by a cluster that knows of nothing; `like`: what a sample
+        should take a worker [s].
+        """
+        self._parts, self._stopped = self._scene, ""
+        if (stopped := self.rounds.stopped) is not None:  # travels as parts of the scene do
+            self._stopped = part_digest(stopped)
+            self._parts = replace(self._scene, arrays={**self._scene.arrays, self._stopped: stopped})
+        self._staging = Staging(self._connection, self._parts)
+        self._deal = RangeDeal(self._keeper.end, self.rounds.end, like=like)
         self._again: list[SampleRange] = []
         self._tasks: list[_Task] = []
         self._unsafe: list[_Film] = []
@@ -91,7 +103,7 @@ class ClusterRender:
     @property
     def is_over(self) -> bool:
         """Whether all samples are here."""
-        return self._keeper.end >= self._job.end
+        return self.rounds.is_over and self._fetched is None
 
     @property
     def is_rendering(self) -> bool:
@@ -101,38 +113,33 @@ class ClusterRender:
     @property
     def samples_done(self) -> float:
         """Samples of every pixel that are rendered, with what those under way should have come to."""
-        done = self._deal.dealt - self._job.first - sum(each.count for each in self._again)
+        done = self._deal.dealt - self._first - sum(each.count for each in self._again)
         now, a_sample = time.monotonic(), self._deal.sample_seconds
         for task in self._tasks:
             share = 0.0 if a_sample is None else (now - task.begun) / (a_sample * task.samples.count)
             done -= task.samples.count * (1.0 - min(share, 0.95))
         return done
 
-    def step(self, cancelled: Callable[[], bool]) -> None:
-        """See what came, and ask for what comes next; raises `ClusterError`."""
-        try:
-            if not self._connection.is_lost:
-                self._step()
-        except (ClusterError, OSError, RuntimeError, ValueError):
-            if not self._connection.is_lost:  # else it is for that, and nothing that was asked of it will come
-                raise
-        if self._connection.is_lost and self._connection.reconnect(cancelled):
-            self._begin()
+    @property
+    def tasks_running(self) -> int:
+        """Tasks that workers have of it."""
+        return sum(len(task.futures) for task in self._tasks)
 
-    def _step(self) -> None:
+    def step(self, busy: int = 0) -> None:
+        """See what came, and ask for what comes next where other renders have `busy` tasks; raises `ClusterError`."""
         self.workers = self._connection.workers()
         self._staging.step(self.workers)
         self._see_lost({each.host for each in self.workers})
         self._see_tasks()
         self._see_films()
-        self._issue()
+        self._issue(busy)
         self._merge()
         self._fetch()
         self._see_picture()
 
-    def _issue(self) -> None:
+    def _issue(self, busy: int) -> None:
         ready = [each for each in self.workers if each.slots and each.host in self._staging.ready]
-        slots, running = sum(each.slots for each in ready), sum(len(task.futures) for task in self._tasks)
+        slots, running = sum(each.slots for each in ready), busy + self.tasks_running
         hosts, now = frozenset(each.host for each in ready), time.monotonic()
         while running < slots:
             samples = self._again.pop(0) if self._again else self._deal.next(slots)
@@ -149,8 +156,7 @@ class ClusterRender:
                 running += 1
 
     def _asked(self, samples: SampleRange, hosts: frozenset[str]) -> Any:
-        parts = self._job.parts
-        what = parts.recipe, parts.digest, samples.first, samples.count
+        what = self._parts.recipe, self._parts.digest, samples.first, samples.count, self._stopped
         return self._connection.submit("render", *what, workers=hosts, slot=True)
 
     # --- what came
@@ -247,19 +253,19 @@ class ClusterRender:
         return self._deal.is_dealt and not self._again
 
     def _fetch(self) -> None:
-        """Bring the film of the next samples here, at the end or where it is time to keep it."""
+        """Bring the film of the next samples here, at the end of a round or where it is time to keep it."""
         if self._fetched is None:
             first = next((each for each in self._films if each.first == self._keeper.end), None)
             is_last = self._is_dealt and not self._tasks and not self._unsafe
             if first is not None and (is_last or self._keeper.is_due()):
                 self._tree.remove(first)
                 film = self._films.pop(first)
-                self._fetched = film, self._helpers.submit(lambda: films.received_film(_sound(film.future.result())))
+                self._fetched = film, self._helpers.submit(self._received, film.future)
         elif self._fetched[1].done():
             film, received = self._fetched
             samples, self._fetched = film.samples, None
             try:
-                self._keeper.add(*received.result())
+                self._keep(received.result())
             except films.DamagedFilm as error:
                 self._count_failure(samples, str(error))
                 self._render_again(samples, [film.future])
@@ -267,11 +273,32 @@ class ClusterRender:
                 if not self._connection.is_lost:
                     self._render_again(samples, [film.future])
 
+    def _received(self, future: Any) -> _Received:
+        """On a thread that may wait: the film of `future`, and what follows from it at the end of a round."""
+        film, shares = films.received_film(_sound(future.result()))
+        kept = self._keeper.with_next(film)
+        rounds, looked_at = self.rounds, None
+        if self._first + kept.progress.done >= rounds.end:
+            rounds, looked_at = rounds.after(kept)
+        return _Received(kept, shares, rounds, looked_at)
+
+    def _keep(self, received: _Received) -> None:
+        """Go on with the next round, where that was the last of this one."""
+        is_next, self.rounds = received.rounds is not self.rounds, received.rounds
+        self._keeper.keep(received.kept, received.shares, self.rounds)
+        if not is_next or self.rounds.is_over:
+            return
+        if received.film is not None and self.wants_pictures:
+            self._pictures.append(received.film.passes)
+        self.begin(self._deal.sample_seconds)
+
     # --- pictures
 
     def _see_picture(self) -> None:
         if self._picture is None:
-            if self._films and time.monotonic() - self._pictured_at >= PICTURE_SECONDS:
+            # of later rounds, all that was before is here
+            is_wanted = self.wants_pictures and not self.rounds.number and self._films
+            if is_wanted and time.monotonic() - self._pictured_at >= PICTURE_SECONDS:
                 largest = max(self._films, key=lambda each: each.count)
                 self._picture = self._connection.submit("picture", self._films[largest].future, priority=40)
         elif self._picture.done():

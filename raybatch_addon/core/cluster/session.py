@@ -4,27 +4,86 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
-from typing import Any
 
 from ..checkpoint.checkpoint import Checkpoint
+from ..device.devices import start_warp
 from ..errors import SettingsError
 from ..film import Film
 from ..measure.parts import Parts
-from ..measure.statistics import ENGINE, versions
 from ..observers import Progress, RenderObserver, Tile, call_all
 from ..scene.description import Scene
-from ..scene.notice import by_weight, described
 from ..scene.validate import checked_scene
 from ..settings.settings import RenderSettings
+from ..wavefront.render.resume import check_samples
 from .connection import Connection
 from .keeping import ClusterKeeper
 from .parts import parts_of
-from .render import ClusterJob, ClusterRender
+from .render import ClusterRender
+from .rounds import ClusterRounds
+from .statistics import statistics_of
+from .under_way import RendersUnderWay, UnderWay
 
-# Settings that need all samples so far in one place while a render goes on, and what they are without that
-_IN_ONE_PLACE = {"adaptive_sampling": "OFF", "error_target": 0.0, "time_limit": 0.0}
 _POLL_SECONDS = 0.05
+# Renders that are begun, and not taken, hold their scene and what is there of their film
+RENDERS_MOST = 4
+
+
+class PendingFilm:
+    """A render on a cluster that goes on by itself."""
+
+    def __init__(self, scene: Scene, settings: RenderSettings, keeper: ClusterKeeper, under_way: UnderWay):
+        self._scene, self._settings, self._keeper, self._under_way = scene, settings, keeper, under_way
+        self.warnings: list[str] = []  # about the scene
+        self.is_taken = False  # nobody waits for it any more
+
+    @property
+    def is_done(self) -> bool:
+        """Whether `film` does not wait."""
+        return self._under_way.ended.is_set()
+
+    def cancel(self) -> None:
+        """Nobody wants it any more: its workers are free for others."""
+        self._under_way.is_cancelled = self.is_taken = True
+
+    def film(
+        self,
+        *,
+        on_tile: Callable[[Tile], None] | None = None,
+        on_progress: Callable[[Progress], None] | None = None,
+        cancelled: Callable[[], bool] | None = None,
+        observers: Sequence[RenderObserver] = (),
+    ) -> Film:
+        """Wait for it, before other renders of the session; raises what ended it. Arguments are as in `render`."""
+        show = call_all(on_progress, [each.on_progress for each in observers])
+        show_tile = call_all(on_tile, [each.on_tile for each in observers])
+        x0, y0, x1, y1 = self._scene.frame.region
+        own, render, settings = self._under_way, self._under_way.render, self._settings
+        own.is_awaited = render.wants_pictures = True
+        try:
+            while not own.ended.is_set():
+                if cancelled is not None and cancelled():
+                    self.cancel()
+                for passes in render.take_pictures():
+                    show_tile(Tile(x0, y0, x1 - x0, y1 - y0, passes))
+                show(_progress(render, settings, own.parts, time.perf_counter() - own.begun))
+                own.ended.wait(_POLL_SECONDS)
+        finally:
+            self.is_taken = True
+            if not own.ended.is_set():
+                self.cancel()
+            own.ended.wait()
+            self._keeper.wait()
+        if own.error is not None:
+            raise own.error
+        kept = self._keeper.film
+        film = Film.empty(self._scene.frame, settings.half_count) if kept is None else kept.film()
+        film.complete = render.is_over
+        film.statistics = statistics_of(film, self._scene, settings, self._keeper, own)
+        film.statistics["warnings"] = [*dict.fromkeys([*self.warnings, *film.statistics["warnings"]])]
+        if film.complete:
+            show(_progress(render, settings, own.parts, time.perf_counter() - own.begun))
+            show_tile(Tile(x0, y0, x1 - x0, y1 - y0, film.passes))
+        return film
 
 
 class ClusterSession:
@@ -33,9 +92,54 @@ class ClusterSession:
     def __init__(self, connection: Connection, report: Callable[[str], None] = lambda text: None):
         """`connection` stays the caller's; `report` gets notes."""
         self._connection, self._report = connection, report
+        self._under_way = RendersUnderWay(connection)
+        self._pending: list[PendingFilm] = []
 
     def close(self) -> None:
-        """Nothing is kept here; machines keep their parts of scenes for later renders."""
+        """End what is under way; machines keep their parts of scenes for later renders."""
+        self._under_way.close()
+
+    @property
+    def has_room(self) -> bool:
+        """Whether another render may begin before those that did are taken."""
+        self._pending = [each for each in self._pending if not each.is_taken]
+        return len(self._pending) < RENDERS_MOST
+
+    def begin(
+        self,
+        scene: Scene,
+        settings: RenderSettings,
+        *,
+        sample_first: int = 0,
+        parts: Parts | None = None,
+        checkpoint: Checkpoint | None = None,
+    ) -> PendingFilm:
+        """Begin a render, which goes on beside what the caller does, and beside others: where one has no tasks left for
+        a worker, the next one has. Its film is the same as that of `render`, whose arguments these are.
+
+        Raises `SettingsError` for settings that need a clock, and `ClusterError`.
+        """
+        if settings.time_limit:
+            raise SettingsError(
+                "time_limit ends a render by the clock of one process, and workers of a cluster do not come to their "
+                "samples at the same time; set it to 0, or set error_target, or a number of samples"
+            )
+        parts = parts or Parts("check")
+        parts.enter("check")
+        check_samples(settings, sample_first)
+        checked = checked_scene(scene)
+        start_warp()
+        keeper = ClusterKeeper(sample_first, *((checkpoint.path, checkpoint.interval) if checkpoint else ()))
+        keeper.begin(scene, settings, self._report)
+        rounds = ClusterRounds(scene.frame, settings, sample_first, keeper.film)
+        parts.enter("start")
+        render = ClusterRender(self._connection, parts_of(scene, settings), keeper, rounds)
+        under_way = UnderWay(render, parts)
+        self._under_way.add(under_way)
+        pending = PendingFilm(scene, settings, keeper, under_way)
+        pending.warnings = [*map(str, checked.warnings)]
+        self._pending.append(pending)
+        return pending
 
     def render(
         self,
@@ -54,46 +158,12 @@ class ClusterSession:
     ) -> Film:
         """As `Session.render`; pictures come as one tile that is the whole frame, every few seconds.
 
-        Raises `SettingsError` for settings that need all samples in one place, and `ClusterError`.
+        Raises what `begin` does.
         """
-        for name, off in _IN_ONE_PLACE.items():
-            if getattr(settings, name) != off:
-                raise SettingsError(f"{name} needs all samples in one place; set it to {off} to render on a cluster")
         if resume is not None or after is not None:
             raise SettingsError("films in memory are not gone on with on a cluster; give a checkpoint")
-        parts = parts or Parts("check")
-        parts.enter("check")
-        checked = checked_scene(scene)
-        keeper = ClusterKeeper(sample_first, *((checkpoint.path, checkpoint.interval) if checkpoint else ()))
-        keeper.begin(scene, settings, self._report)
-        job = ClusterJob(parts_of(scene, settings), sample_first, sample_first + settings.sample_count)
-        x0, y0, x1, y1 = scene.frame.region
-        show = call_all(on_progress, [each.on_progress for each in observers])
-        show_tile = call_all(on_tile, [each.on_tile for each in observers])
-        is_cancelled = cancelled or (lambda: False)
-        parts.enter("start")
-        render = ClusterRender(self._connection, job, keeper)
-        started = time.perf_counter()
-        try:
-            while not render.is_over and not is_cancelled():
-                render.step(is_cancelled)
-                for passes in render.take_pictures():
-                    show_tile(Tile(x0, y0, x1 - x0, y1 - y0, passes))
-                if render.is_rendering and parts.part != "render":
-                    parts.enter("render")
-                show(_progress(render, settings, parts, time.perf_counter() - started))
-                time.sleep(_POLL_SECONDS)
-        finally:
-            render.close()
-            keeper.wait()
-        parts.enter("report")
-        film = Film.empty(scene.frame, settings.half_count) if keeper.film is None else keeper.film.film()
-        film.complete = render.is_over
-        film.statistics = _statistics(film, scene, settings, keeper, render, parts)
-        film.statistics["warnings"] = [*map(str, checked.warnings), *film.statistics["warnings"]]
-        if film.complete:
-            show_tile(Tile(x0, y0, x1 - x0, y1 - y0, film.passes))
-        return film
+        pending = self.begin(scene, settings, sample_first=sample_first, parts=parts, checkpoint=checkpoint)
+        return pending.film(on_tile=on_tile, on_progress=on_progress, cancelled=cancelled, observers=observers)
 
 
 def _progress(render: ClusterRender, settings: RenderSettings, parts: Parts, seconds: float) -> Progress:
@@ -114,43 +184,3 @@ def _progress(render: ClusterRender, settings: RenderSettings, parts: Parts, sec
         message=message,
         seconds_rendering=seconds,
     )
-
-
-def _statistics(
-    film: Film, scene: Scene, settings: RenderSettings, keeper: ClusterKeeper, render: ClusterRender, parts: Parts
-) -> dict[str, Any]:
-    """The report: what is known of renders on a cluster, and who rendered which samples (docs/statistics.md)."""
-    shares = sorted(keeper.shares, key=lambda each: each["first"])
-    rays = {kind: sum(each["rays"][kind] for each in shares) for kind in ("camera", "bounce", "shadow", "total")}
-    seconds = parts.record()
-    devices = {(each["worker"], each["device"]["alias"]): each["device"] for each in shares}
-    warnings = dict.fromkeys(text for each in shares for text in each["warnings"])
-    invalid = keeper.film.progress.invalid_samples if keeper.film else 0
-    return {
-        "engine": ENGINE,
-        "versions": versions(),
-        "device": shares[0]["device"] if shares else None,
-        "devices": [*devices.values()],
-        "settings": asdict(settings),
-        "frame": {"width": film.width, "height": film.height, "region": [*film.region], "passes": [*film.pass_names]},
-        "seconds": seconds,
-        "samples": film.sample_total,
-        "rays": rays,
-        "rays_per_second": round(rays["total"] / seconds["render"]) if seconds["render"] else 0,
-        "memory_peak": {of: max((each["memory_peak"][of] for each in shares), default=0) for of in ("host", "device")},
-        "complete": film.complete,
-        "stopped_by": "samples" if film.complete else None,
-        "samples_per_pixel": keeper.end - (shares[0]["first"] if shares else keeper.end),
-        "error": None,
-        "invalid_samples": invalid,
-        "warnings": [*warnings, *keeper.warnings],
-        "missing": [described(notice) for notice in by_weight(scene.warnings)],
-        "cluster": {
-            "shares": [
-                {name: each[name] for name in ("first", "end", "worker", "seconds", "seconds_rendering")}
-                | {"device": each["device"]["name"]}
-                for each in shares
-            ],
-            "tasks_again": render.tasks_again,
-        },
-    }

@@ -20,6 +20,7 @@ from ..errors import RayBatchError
 from ..scene.description import Scene
 from ..session import Session
 from ..settings.settings import RenderSettings
+from ..wavefront.adaptive.active_pixels import ActivePixels
 from . import films
 from .parts import scene_of
 from .store import PartStore
@@ -53,16 +54,22 @@ def put(arrays: dict[str, np.ndarray]) -> int:
     return len(arrays)
 
 
-def render(recipe: str, digest: str, first: int, count: int) -> films.Sent:
-    """The film of `count` samples from `first` on, of the scene of `recipe`. Raises `PartMissing` where parts of the
-    scene are not here.
+def render(recipe: str, digest: str, first: int, count: int, stopped: str = "") -> films.Sent:
+    """The film of `count` samples from `first` on, of the scene of `recipe`. `stopped` is the digest of the pixels that
+    have ended their sampling, as `ActivePixels` has them; empty: none. Raises `PartMissing` where parts of the scene
+    are not here.
     """
     with _lock:
         started = time.perf_counter()
         scene, settings = _scene(recipe, digest)
         session = _opened()
         settings = settings.replace(sample_count=count)
-        film = session.render(scene, settings, sample_first=first)
+        after = None
+        if stopped:
+            after = ActivePixels(scene.frame.region, settings.noise_threshold, part_store().load(stopped))
+        # when the render ends is decided where all samples are
+        own = settings.replace(error_target=0.0, error_estimate="ON") if settings.error_target else settings
+        film = session.render(scene, own, sample_first=first, after=after)
         identity = FilmIdentity.of(scene, settings, session.device)
         kept = films.kept_of(film, identity, first, settings.sample_order)
         statistics = film.statistics

@@ -247,14 +247,9 @@ def make_room():
     store.PartStore._make_room = store.PartStore._kept
 
 
-@pytest.mark.parametrize(
-    "change",
-    [dict(adaptive_sampling="ON"), dict(error_target=0.1), dict(time_limit=3.0)],
-    ids=lambda each: next(iter(each)),
-)
-def test_settings_that_need_all_samples_in_one_place(connection, change):
-    with pytest.raises(SettingsError, match=f"{next(iter(change))} needs all samples in one place"):
-        render(connection, settings=SETTINGS.replace(**change))
+def test_a_clock_ends_no_render_of_a_cluster(connection):
+    with pytest.raises(SettingsError, match="time_limit ends a render by the clock of one process"):
+        render(connection, settings=SETTINGS.replace(time_limit=3.0))
 
 
 def test_no_scheduler_is_an_error():

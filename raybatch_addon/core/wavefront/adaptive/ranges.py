@@ -15,9 +15,10 @@ from .looks import Looks
 
 
 def first_active(
-    frame: Frame, settings: RenderSettings, sample_first: int, after: Film | None, device: wp.Device
+    frame: Frame, settings: RenderSettings, sample_first: int, after: Film | ActivePixels | None, device: wp.Device
 ) -> ActivePixels | None:
-    """Pixels that get the samples from `sample_first` on; None where all get all samples.
+    """Pixels that get the samples from `sample_first` on; None where all get all samples. `after` is the film that
+    was looked at before them, or what the look found.
 
     Raises `RayBatchError` for a range whose pixels are not known before it: one that goes beyond a look at the noise
     without having all samples before, or that begins after one without the film that was looked at, `after`. So is one
@@ -43,7 +44,10 @@ def first_active(
             "film; set error_target to 0, or render all samples at once"
         )
     active = None
-    if after is not None and after.halves and _place(after) == _place(frame):
+    if isinstance(after, ActivePixels):
+        if after.region == tuple(frame.region) and after.threshold == settings.noise_threshold:
+            active = after.copy()
+    elif after is not None and after.halves and _place(after) == _place(frame):
         active = _active_after(after, looks, last, settings.noise_threshold, device)
     if active is None:
         raise RayBatchError(
@@ -54,7 +58,9 @@ def first_active(
     return active
 
 
-def check_after(settings: RenderSettings, sample_first: int, resume: Film | None, after: Film | None) -> None:
+def check_after(
+    settings: RenderSettings, sample_first: int, resume: Film | None, after: Film | ActivePixels | None
+) -> None:
     """Raises `RayBatchError` where a film is given with `after` and nobody would look at it."""
     if after is None:
         return

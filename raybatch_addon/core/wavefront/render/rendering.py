@@ -24,7 +24,7 @@ from .deal import Deal
 from .events import RenderEvents
 from .resume import ResumeState
 from .steps import TileSteps
-from .summary import ray_totals
+from .summary import complaints, error_summary, ray_totals
 
 # How often the calling thread looks up from waiting: for results, for a cancel, to report progress [s]
 POLL_SECONDS = 0.05
@@ -108,26 +108,13 @@ class Rendering:
                 self._total = self._items_done() + state.items_to_come
         if self.error_samples != state.done:
             self._look_at_error()
-        if policy.stopped_by == "error" and not _colors(self._film).any():
-            self.warnings.append(
-                f"error_target was met by a black picture: no path of {state.done} samples found any light, so that "
-                "nothing is known of its "
-                "error; if it should not be black, set error_target to 0 and render all samples"
-            )
+        self.warnings += complaints(policy, self._film, state.done)
 
     def error_report(self) -> dict[str, Any] | None:
         """What is known of the film's error, for statistics; None where halves are not kept apart."""
         if not self._film.halves:
             return None
-        policy, found = self._state.policy, self.error
-        return {
-            "relmse": found.relmse if found else None,
-            "rmse": found.rmse if found else None,
-            "samples": self.error_samples,
-            "target": policy.error_target,
-            "reached": bool(found and found.relmse <= policy.error_target > 0),
-            "stopped_by": policy.stopped_by,
-        }
+        return error_summary(self._state.policy, self.error, self.error_samples)
 
     # --- a round
 

@@ -8,14 +8,17 @@ from typing import Any
 
 from ...bvh.node import Layout
 from ...bvh.traverse.reference import BuiltReference
+from ...convergence.halves import HalfError
 from ...film import Film
 from ...measure.batching import BatchingTotals
 from ...measure.counters import CounterTotals, TreeBytes
 from ...measure.volumes import VolumeCounts
+from ..adaptive.active_pixels import ActivePixels
 from ..integrator import TileIntegrator
 from ..order.sort_policy import merged_reports
 from ..scene.device_scene import DeviceScene
 from .resume import ResumeState
+from .rounds import RoundPolicy
 
 
 def ray_totals(integrators: Sequence[TileIntegrator]) -> dict[str, int]:
@@ -31,21 +34,46 @@ def rounds_summary(film: Film, state: ResumeState, error: dict[str, Any] | None)
     """The parts of the statistics about samples: how far the render came, why it ended, and which pixels got how many;
     `error` is what is known of it.
     """
-    active, looks = state.active, state.policy.looks
     return {
         "complete": film.complete,
         "stopped_by": state.policy.stopped_by,
         "samples_per_pixel": state.done,
         "error": error,
-        "adaptive": active
-        and {
-            "threshold": active.threshold,
-            "samples_min": looks.first if looks else None,
-            "samples_mean": film.sample_total / state.pixel_count,
-            "converged": 1.0 - active.share,
-            "looks": active.looks,
-        },
+        "adaptive": state.active and adaptive_summary(state.active, state.policy, film.sample_total),
     }
+
+
+def adaptive_summary(active: ActivePixels, policy: RoundPolicy, sample_total: int) -> dict[str, Any]:
+    """What looks at the noise came to; `sample_total`: samples of all pixels together."""
+    return {
+        "threshold": active.threshold,
+        "samples_min": policy.looks.first if policy.looks else None,
+        "samples_mean": sample_total / active.stopped.size,
+        "converged": 1.0 - active.share,
+        "looks": active.looks,
+    }
+
+
+def error_summary(policy: RoundPolicy, found: HalfError | None, samples: int) -> dict[str, Any]:
+    """What is known of the error of a film with halves, which was looked at after `samples` samples."""
+    return {
+        "relmse": found.relmse if found else None,
+        "rmse": found.rmse if found else None,
+        "samples": samples,
+        "target": policy.error_target,
+        "reached": bool(found and found.relmse <= policy.error_target > 0),
+        "stopped_by": policy.stopped_by,
+    }
+
+
+def complaints(policy: RoundPolicy, film: Film, samples: int) -> list[str]:
+    """Warnings about how the render of `film` ended, after `samples` samples."""
+    if policy.stopped_by != "error" or film.passes["Combined"][..., :3].any():
+        return []
+    return [
+        f"error_target was met by a black picture: no path of {samples} samples found any light, so that nothing is "
+        "known of its error; if it should not be black, set error_target to 0 and render all samples"
+    ]
 
 
 def batching_totals(integrators: Sequence[TileIntegrator]) -> BatchingTotals | None:

@@ -1,0 +1,117 @@
+"""The renders of a session that are under way: one goes on where another leaves workers without a task."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from ..measure.parts import Parts
+from .connection import ClusterError, Connection
+from .render import ClusterRender
+
+_POLL_SECONDS = 0.05
+
+
+@dataclass(eq=False)
+class UnderWay:
+    """A render that goes on by itself."""
+
+    render: ClusterRender
+    parts: Parts
+    begun: float = field(default_factory=time.perf_counter)
+    error: BaseException | None = None  # that ended it
+    is_cancelled: bool = False  # nobody wants it
+    ended: threading.Event = field(default_factory=threading.Event)
+    is_awaited: bool = False  # it goes first
+
+    @property
+    def is_over(self) -> bool:
+        """Whether nothing of it is to be done any more."""
+        return self.render.is_over or self.is_cancelled or self.error is not None
+
+
+class RendersUnderWay:
+    """Takes all renders of a connection further, on a thread of its own: the one that is waited for first, others in
+    the order in which they began. Each gets the workers that those before leave.
+    """
+
+    def __init__(self, connection: Connection):
+        self._connection = connection
+        self._lock = threading.Lock()
+        self._all: list[UnderWay] = []
+        self._thread: threading.Thread | None = None
+
+    def add(self, each: UnderWay) -> None:
+        """It goes on from now on."""
+        with self._lock:
+            self._all.append(each)
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name="RayBatch cluster renders", daemon=True)
+                self._thread.start()
+
+    def close(self) -> None:
+        """None of them is wanted any more."""
+        with self._lock:
+            thread, left = self._thread, [*self._all]
+        for each in left:
+            each.is_cancelled = True
+        if thread is not None:
+            thread.join()
+
+    def _run(self) -> None:
+        while True:
+            with self._lock:
+                self._all = [each for each in self._all if not self._has_ended(each)]
+                if not self._all:
+                    self._thread = None
+                    return
+                now = sorted(self._all, key=lambda each: not each.is_awaited)
+            self._step(now)
+            time.sleep(_POLL_SECONDS)
+
+    def _has_ended(self, each: UnderWay) -> bool:
+        if not each.is_over:
+            return False
+        each.parts.enter("report")
+        each.render.close()
+        each.ended.set()
+        return True
+
+    def _step(self, renders: list[UnderWay]) -> None:
+        for each in renders:
+            if self._connection.is_lost:
+                break
+            _guarded(each, lambda each=each: self._step_one(each, renders))
+        if self._connection.is_lost:
+            self._reconnect(renders)
+
+    def _step_one(self, each: UnderWay, renders: list[UnderWay]) -> None:
+        try:
+            each.render.step(sum(other.render.tasks_running for other in renders if other is not each))
+        except (ClusterError, OSError, RuntimeError, ValueError):
+            if not self._connection.is_lost:  # else it is for that, and nothing that was asked of it will come
+                raise
+        if each.render.is_rendering and each.parts.part != "render":
+            each.parts.enter("render")
+
+    def _reconnect(self, renders: list[UnderWay]) -> None:
+        try:
+            is_there = self._connection.reconnect(lambda: all(each.is_cancelled for each in renders))
+        except ClusterError as error:
+            for each in renders:
+                each.error = each.error or error
+            return
+        for each in renders if is_there else []:
+            _guarded(each, each.render.begin)
+
+
+def _guarded(each: UnderWay, work: Callable[[], None]) -> None:
+    """An error ends one render, and is raised where that is waited for."""
+    if each.is_over:
+        return
+    try:
+        work()
+    except BaseException as error:
+        each.error = error
