@@ -58,7 +58,7 @@ class _Received:
 
 
 class ClusterRender:
-    """The state of one render; `step` goes on with it, and never waits."""
+    """The state of one render; `look` and then `issue` go on with it, and never wait."""
 
     def __init__(self, connection: Connection, parts: SceneParts, keeper: ClusterKeeper, rounds: ClusterRounds):
         self._connection, self._scene, self._keeper = connection, parts, keeper
@@ -125,19 +125,19 @@ class ClusterRender:
         """Tasks that workers have of it."""
         return sum(len(task.futures) for task in self._tasks)
 
-    def step(self, busy: int = 0) -> None:
-        """See what came, and ask for what comes next where other renders have `busy` tasks; raises `ClusterError`."""
+    def look(self) -> None:
+        """See what came; raises `ClusterError`."""
         self.workers = self._connection.workers()
         self._staging.step(self.workers)
         self._see_lost({each.host for each in self.workers})
         self._see_tasks()
         self._see_films()
-        self._issue(busy)
         self._merge()
         self._fetch()
         self._see_picture()
 
-    def _issue(self, busy: int) -> None:
+    def issue(self, busy: int = 0) -> None:
+        """Ask for what comes next, where other renders have `busy` tasks."""
         ready = [each for each in self.workers if each.slots and each.host in self._staging.ready]
         slots, running = sum(each.slots for each in ready), busy + self.tasks_running
         hosts, now = frozenset(each.host for each in ready), time.monotonic()

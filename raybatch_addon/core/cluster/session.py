@@ -168,7 +168,7 @@ class ClusterSession:
 
 def _progress(render: ClusterRender, settings: RenderSettings, parts: Parts, seconds: float) -> Progress:
     done, slots = render.samples_done, sum(each.slots for each in render.workers)
-    fraction = min(max(done / settings.sample_count, 0.0), 1.0)
+    fraction = 1.0 if render.is_over else min(max(done / settings.sample_count, 0.0), 1.0)
     left = seconds / fraction - seconds if fraction > 0.01 else None
     message = f"Rendering on {slots} workers" if slots else "Waiting for workers of the cluster"
     return Progress(

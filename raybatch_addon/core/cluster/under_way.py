@@ -81,20 +81,25 @@ class RendersUnderWay:
 
     def _step(self, renders: list[UnderWay]) -> None:
         for each in renders:
-            if self._connection.is_lost:
-                break
-            _guarded(each, lambda each=each: self._step_one(each, renders))
+            self._go_on(each, each.render.look)
+        for each in renders:  # once it is known who left workers
+            others = [other.render for other in renders if other is not each]
+            self._go_on(each, lambda each=each, others=others: each.render.issue(sum(o.tasks_running for o in others)))
+            if each.render.is_rendering and each.parts.part != "render":
+                each.parts.enter("render")
         if self._connection.is_lost:
             self._reconnect(renders)
 
-    def _step_one(self, each: UnderWay, renders: list[UnderWay]) -> None:
+    def _go_on(self, each: UnderWay, work: Callable[[], None]) -> None:
+        """An error ends one render, and is raised where that is waited for."""
+        if each.is_over or self._connection.is_lost:
+            return
         try:
-            each.render.step(sum(other.render.tasks_running for other in renders if other is not each))
-        except (ClusterError, OSError, RuntimeError, ValueError):
-            if not self._connection.is_lost:  # else it is for that, and nothing that was asked of it will come
-                raise
-        if each.render.is_rendering and each.parts.part != "render":
-            each.parts.enter("render")
+            work()
+        except Exception as error:
+            # where the connection is lost it is for that, and nothing that was asked of it will come
+            if not (self._connection.is_lost and isinstance(error, (ClusterError, OSError, RuntimeError, ValueError))):
+                each.error = error
 
     def _reconnect(self, renders: list[UnderWay]) -> None:
         try:
@@ -104,14 +109,4 @@ class RendersUnderWay:
                 each.error = each.error or error
             return
         for each in renders if is_there else []:
-            _guarded(each, each.render.begin)
-
-
-def _guarded(each: UnderWay, work: Callable[[], None]) -> None:
-    """An error ends one render, and is raised where that is waited for."""
-    if each.is_over:
-        return
-    try:
-        work()
-    except BaseException as error:
-        each.error = error
+            self._go_on(each, each.render.begin)

@@ -9,7 +9,6 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 
 import numpy as np
 import pytest
@@ -21,63 +20,14 @@ from raybatch_addon.core.checkpoint.file import CheckpointError
 from raybatch_addon.core.cluster import connection as connection_module
 from raybatch_addon.core.cluster import films
 from raybatch_addon.core.cluster.connection import ClusterError, Connection
-from raybatch_addon.core.cluster.local import local_cluster
-from raybatch_addon.core.cluster.ranges import RangeDeal
 from raybatch_addon.core.cluster.session import ClusterSession
 from raybatch_addon.core.errors import SettingsError
-from raybatch_addon.core.settings.settings import RenderSettings
+from tests.core.cluster.clusters import SETTINGS, assert_same_film, wait_for
 from tests.support import scenes
 from tests.support.under_test import DEVICE
 from tests.support.watched_renders import FRAME, PASSES, assert_same
 
 pytestmark = pytest.mark.usefixtures("general_kernels")
-
-SETTINGS = RenderSettings(sample_count=48, bounce_max=5)
-
-
-@pytest.fixture(scope="module")
-def address(tmp_path_factory):
-    """A scheduler with two workers on this machine, which come back when they are killed."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("RAYBATCH_PART_FOLDER", str(tmp_path_factory.mktemp("parts")))
-        with local_cluster(2, os.environ.get("RAYBATCH_KERNEL_CACHE")) as found:
-            yield found
-
-
-@pytest.fixture
-def connection(address):
-    made = Connection(address)
-    wait_for(lambda: len(made.workers()) == 2)
-    yield made
-    made.close()
-
-
-@pytest.fixture(scope="module")
-def expected(session):
-    return session.render(scenes.mixed(FRAME), SETTINGS)
-
-
-@pytest.fixture
-def long_tasks(monkeypatch):
-    """Every range takes as long as it would in a larger picture, and there are some twenty of them."""
-    monkeypatch.setattr(RangeDeal, "next", dealt_evenly)
-
-
-def dealt_evenly(self, workers):
-    from raybatch_addon.core.cluster.ranges import SampleRange
-
-    if self.is_dealt:
-        return None
-    samples = SampleRange(self._next, min(self._next + 2, self.end))
-    self._next = samples.end
-    return samples
-
-
-def wait_for(condition, seconds=60.0):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "it did not come"
-        time.sleep(0.05)
 
 
 def pids(connection):
@@ -86,12 +36,6 @@ def pids(connection):
 
 def render(connection, **options):
     return ClusterSession(connection).render(scenes.mixed(FRAME), options.pop("settings", SETTINGS), **options)
-
-
-def assert_same_film(film, expected):
-    assert film.complete
-    assert np.array_equal(film.counts, expected.counts)
-    assert_same(film.passes, expected.passes)
 
 
 def test_the_film_is_that_of_one_process(connection, expected):
