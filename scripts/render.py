@@ -300,7 +300,10 @@ def _render_by_blender(request: Request, folders: OutputFolders, standard_output
 
     if session is not None:
         sessions.instead = lambda settings: session
-    BlenderRender(request, folders, ProgressBar(), standard_output).run()
+    try:
+        BlenderRender(request, folders, ProgressBar(), standard_output).run()
+    finally:
+        sessions.instead = None
 
 
 def run(options: argparse.Namespace, folders: OutputFolders, standard_output: IO[str]) -> int:

@@ -68,6 +68,7 @@ ROOMS = (
     "blender/general_kernels.py",
     "blender/finals.py",
     "blender/sessions.py",
+    "blender/cluster",
     "blender/viewport",
     "blender/warm_up.py",
     "blender/devices.py",

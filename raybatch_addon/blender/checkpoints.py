@@ -22,6 +22,7 @@ class AskedCheckpoint:
     path: Path | None  # of a frame with one picture; None: no checkpoint
     interval: float = 60.0  # [s]
     sample_first: int = 0
+    path_ahead: Path | None = None  # of the frame that follows
 
 
 asked: AskedCheckpoint | None = None  # set by scripts
@@ -32,10 +33,13 @@ def first_sample() -> int:
     return asked.sample_first if asked else 0
 
 
-def checkpoint_path(scene: bpy.types.Scene, layer: str, view: str = "") -> Path:
-    """Where the checkpoint of a view layer of the scene's frame is, of stereoscopy that of a view."""
-    if asked and asked.path:
-        folder, stem, ending = asked.path.parent, asked.path.stem, asked.path.suffix
+def checkpoint_path(scene: bpy.types.Scene, layer: str, view: str = "", is_ahead: bool = False) -> Path:
+    """Where the checkpoint of a view layer of the scene's frame is, of stereoscopy that of a view; `is_ahead`: of the
+    frame that follows the one that Blender renders, where the scene is already.
+    """
+    named = (asked.path_ahead if is_ahead else asked.path) if asked else None
+    if named:
+        folder, stem, ending = named.parent, named.stem, named.suffix
     else:
         output = Path(bpy.path.abspath(scene.render.frame_path(frame=scene.frame_current)))
         folder, stem, ending = output.parent, output.stem, ENDING
@@ -48,15 +52,19 @@ def checkpoint_path(scene: bpy.types.Scene, layer: str, view: str = "") -> Path:
     return folder / (".".join([stem, *(bpy.path.clean_name(name) for name in names)]) + ending)
 
 
-def checkpoint_of(scene: bpy.types.Scene, layer: str, view: str, report: Callable[[str], None]) -> Checkpoint | None:
-    """The checkpoint of a view layer that is about to be rendered; None where there is to be none."""
+def checkpoint_of(
+    scene: bpy.types.Scene, layer: str, view: str, report: Callable[[str], None], is_ahead: bool = False
+) -> Checkpoint | None:
+    """The checkpoint of a view layer that is about to be rendered, or of the frame that follows the one that Blender
+    renders; None where there is to be none.
+    """
     from ..core.checkpoint.checkpoint import Checkpoint
 
     own = getattr(scene, "raybatch_checkpoint", None)
     if asked is not None:
-        if asked.path is None:
+        if (asked.path_ahead if is_ahead else asked.path) is None:
             return None
-        return Checkpoint(checkpoint_path(scene, layer, view), asked.interval, report=report)
+        return Checkpoint(checkpoint_path(scene, layer, view, is_ahead), asked.interval, report=report)
     if own is None or not own.use:
         return None
     return Checkpoint(checkpoint_path(scene, layer, view), own.interval, begins_anew=True, report=report)

@@ -5,15 +5,17 @@ from __future__ import annotations
 import sys
 import traceback
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
 
 import bpy
 
 from ..convergence import records
 from ..core.errors import RayBatchError
 from ..core.film import Film
-from ..core.measure.parts import Parts
+from ..core.measure.parts import PARTS, Parts
 from ..core.observers import Progress
 from ..core.scene.description import Scene
+from ..core.session import Session
 from ..core.settings.settings import RenderSettings
 from ..export.meshes.persistent import begin_frame
 from ..export.passed_over.look import with_light_looked_for
@@ -22,12 +24,16 @@ from ..export.scene import export_scene
 from ..export.settings import exposure_of, settings_from
 from ..export.view import View
 from . import checkpoints, exit_code, finals, missing, reports, tuning
+from .cluster import frames_ahead
 from .denoise_library import library_for
 from .denoising import denoise_film, whole_tile, with_guides
 from .result import ResultWriter, check_result_fits, stamp_mattes, view_names
 from .sessions import session_for
 from .status.status import RenderStatus
 from .status.terminal import plain_lines
+
+if TYPE_CHECKING:
+    from ..core.cluster.session import ClusterSession
 
 # Called with (view layer name, exported scene, film) after each view layer; for scripts that want more than pixels
 film_listeners: list[Callable[[str, Scene, Film], None]] = []
@@ -76,6 +82,7 @@ def render_view_layer(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsg
 
 def _fail(engine: bpy.types.RenderEngine, report: reports.RenderReport, message: str) -> None:
     line = " ".join(message.split())
+    frames_ahead.drop_all()
     report.errors.append(line)
     plain_lines.begin()  # Blender prints the error, and nothing of an end behind it
     if bpy.app.background and not bpy.app.module:
@@ -99,6 +106,7 @@ def _render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph, repo
             raise KeyboardInterrupt  # Blender would write what there is, and go on to the next frame
         _end_if_asked(film)
         if _is_stopped(engine):
+            frames_ahead.drop_all()
             return
 
 
@@ -123,18 +131,18 @@ def _render_view(
     """The film of `view`, which the result shows; None where the render ended before there was one."""
     denoiser = library_for(settings)  # an error about it comes before the render
     layer_name = depsgraph.view_layer.name
-    parts = Parts("export")
-    status.show(parts.message)
-    begin_frame(finals.job)
 
     def is_stopped() -> bool:
         return _is_stopped(engine)
 
-    scene = export_scene(depsgraph, cancelled=is_stopped, view=view)
-    if scene is None:
+    read = None if view.name else frames_ahead.take(finals.job, layer_name, depsgraph.scene.frame_current)
+    if read is None:
+        status.show(PARTS["export"])
+        read = _read(depsgraph, settings, view, is_stopped)
+    if read is None:
         return None
-    report.export_seconds = parts.elapsed
-    scene = with_guides(with_light_looked_for(scene), settings)
+    scene, settings, parts = read.scene, read.settings, read.parts
+    report.export_seconds = read.export_seconds
     found = missing.keep_found(depsgraph.scene, layer_name, scene.warnings)
     _report_warnings(engine, report, found)
     if bpy.app.background and not scene_listeners:
@@ -174,17 +182,18 @@ def _render_view(
             if session is None:
                 state = records.CANCELLED
                 return None
-            film = session.render(
-                scene,
-                settings,
-                on_tile=writer.write,
-                on_progress=on_progress,
-                cancelled=is_stopped,
-                observers=observers,
-                sample_first=checkpoints.first_sample(),
-                parts=parts,
-                checkpoint=checkpoints.checkpoint_of(depsgraph.scene, layer_name, view.name, show_note),
-            )
+            seen: dict[str, Any] = {
+                "on_tile": writer.write,
+                "on_progress": on_progress,
+                "cancelled": is_stopped,
+                "observers": observers,
+            }
+            if isinstance(session, Session):
+                checkpoint = checkpoints.checkpoint_of(depsgraph.scene, layer_name, view.name, show_note)
+                first = checkpoints.first_sample()
+                film = session.render(scene, settings, **seen, sample_first=first, parts=parts, checkpoint=checkpoint)
+            else:
+                film = _render_ahead(engine, depsgraph, session, read, view, seen)
             if denoiser is not None:  # viewports, which would take its processors, wait for it too
                 parts.enter("denoise")
                 status.show(parts.message)
@@ -209,6 +218,57 @@ def _render_view(
         film.statistics["frame"] = {**film.statistics.get("frame", {}), "view": view.name}
     for film_listener in film_listeners:
         film_listener(layer_name, scene, film)
+    return film
+
+
+def _read(
+    depsgraph: bpy.types.Depsgraph, settings: RenderSettings, view: View, is_stopped: Callable[[], bool]
+) -> frames_ahead.ReadFrame | None:
+    """The frame that the depsgraph is at, as it is to be rendered; None once `is_stopped()`."""
+    parts = Parts("export")
+    begin_frame(finals.job)
+    scene = export_scene(depsgraph, cancelled=is_stopped, view=view)
+    if scene is None:
+        return None
+    read = frames_ahead.ReadFrame(scene, settings, parts)
+    read.scene = with_guides(with_light_looked_for(scene), settings)
+    return read
+
+
+def _render_ahead(
+    engine: bpy.types.RenderEngine,
+    depsgraph: bpy.types.Depsgraph,
+    session: ClusterSession,
+    read: frames_ahead.ReadFrame,
+    view: View,
+    seen: dict[str, Any],
+) -> Film:
+    """The film of `read`, and the next frame of an animation begun meanwhile; `seen` are arguments of
+    `PendingFilm.film`.
+    """
+    scene, is_stopped = depsgraph.scene, seen["cancelled"]
+
+    def begin(frame: frames_ahead.ReadFrame, is_ahead: bool) -> None:
+        layer = depsgraph.view_layer.name
+        checkpoint = checkpoints.checkpoint_of(scene, layer, view.name, lambda text: None, is_ahead)
+        first = checkpoints.first_sample()
+        frame.pending = session.begin(
+            frame.scene, frame.settings, sample_first=first, parts=frame.parts, checkpoint=checkpoint
+        )
+
+    def begin_next() -> frames_ahead.ReadFrame | None:
+        following = _read(depsgraph, settings_from(scene), view, is_stopped)
+        if following is not None:
+            begin(following, is_ahead=True)
+        return following
+
+    if read.pending is None:
+        begin(read, is_ahead=False)
+    assert read.pending is not None  # since now at the latest
+    if not view.name:
+        frames_ahead.begin_next(engine, depsgraph, session, finals.job, begin_next)
+    film = read.pending.film(**seen)
+    frames_ahead.note(film)
     return film
 
 

@@ -6,6 +6,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 import bpy
 
@@ -16,13 +17,16 @@ from ..core.settings.settings import RenderSettings
 from . import finals
 from .kernel_cache import kernel_cache_folder
 
+if TYPE_CHECKING:
+    from ..core.cluster.session import ClusterSession
+
 # How often who waits for a session asks whether it is still wanted [s]
 _LOOK_SECONDS = 0.1
 # Blender ends, or the add-on is switched off: a render that does not end by then keeps what it has [s]
 _CLOSE_SECONDS = 60.0
 
-# What final renders get instead of a session of this Blender, for scripts: something that renders as one
-instead: Callable[[RenderSettings], Session] | None = None
+# What final renders get instead of a session of this Blender, for scripts: that of a cluster
+instead: Callable[[RenderSettings], ClusterSession] | None = None
 
 _sessions: dict[str, Session] = {}
 _changed = threading.Condition()
@@ -31,7 +35,9 @@ _views: deque[object] = deque()  # viewports that wait for their turn, the first
 
 
 @contextmanager
-def session_for(settings: RenderSettings, cancelled: Callable[[], bool] = lambda: False) -> Iterator[Session | None]:
+def session_for(
+    settings: RenderSettings, cancelled: Callable[[], bool] = lambda: False
+) -> Iterator[Session | ClusterSession | None]:
     """The session of the settings' device, to oneself, for a final render: viewports stop for it. None once
     `cancelled()`, which is asked while it is not free. Raises `DeviceError` for a device that is not there.
     """

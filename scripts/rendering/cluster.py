@@ -43,4 +43,6 @@ def cluster_session(text: str) -> Iterator:
         stack.callback(connection.close)
         if connection.dashboard and not found:
             report(f"the cluster's dashboard is {connection.dashboard}")
-        yield ClusterSession(connection, report)
+        session = ClusterSession(connection, report)
+        stack.callback(session.close)
+        yield session

@@ -116,7 +116,13 @@ class FrameDeliveries:
             self._bar.label = files.label
             self._films.clear()
             request = self._request
-            checkpoints.asked = AskedCheckpoint(files.checkpoint, request.checkpoint_interval, request.sample_first)
+            following = self._by_number.get(files.number + 1)
+            checkpoints.asked = AskedCheckpoint(
+                files.checkpoint,
+                request.checkpoint_interval,
+                request.sample_first,
+                following.checkpoint if following else None,
+            )
 
     def _end(self, scene: bpy.types.Scene, *_: object) -> None:
         """Blender has rendered and written a frame. The thread that writes gets arrays of the host alone, since films

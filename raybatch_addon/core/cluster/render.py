@@ -310,7 +310,8 @@ class ClusterRender:
     def take_pictures(self) -> list[dict[str, Any]]:
         """Passes by name of the whole frame that came since the last call, each better than those before, or so."""
         taken, self._pictures = self._pictures, []
-        return [each for each in taken if "error" not in each]
+        # where arrays lie in what was received is any byte's place, which not all who show them can read
+        return [{name: values.copy() for name, values in each.items()} for each in taken if "error" not in each]
 
 
 def _sound(sent: dict[str, Any]) -> dict[str, Any]:

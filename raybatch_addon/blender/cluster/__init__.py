@@ -1,0 +1,1 @@
+"""Renders on a cluster, as Blender meets them: frames of an animation ahead, and command lines begun by a button."""
