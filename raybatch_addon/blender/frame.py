@@ -268,7 +268,7 @@ def _render_ahead(
     if not view.name:
         frames_ahead.begin_next(engine, depsgraph, session, finals.job, begin_next)
     film = read.pending.film(**seen)
-    frames_ahead.note(film)
+    frames_ahead.note_film(film)
     return film
 
 

@@ -98,7 +98,7 @@ def is_worth_it() -> bool:
     return _rendering > _evaluating
 
 
-def note(film: Film) -> None:
+def note_film(film: Film) -> None:
     """What the last frame took its workers."""
     global _rendering
     shares: list[dict[str, Any]] = film.statistics.get("cluster", {}).get("shares", [])

@@ -20,7 +20,7 @@ from .keeping import ClusterKeeper
 from .parts import parts_of
 from .render import ClusterRender
 from .rounds import ClusterRounds
-from .statistics import statistics_of
+from .statistics import cluster_statistics
 from .under_way import RendersUnderWay, UnderWay
 
 _POLL_SECONDS = 0.05
@@ -78,7 +78,7 @@ class PendingFilm:
         kept = self._keeper.film
         film = Film.empty(self._scene.frame, settings.half_count) if kept is None else kept.film()
         film.complete = render.is_over
-        film.statistics = statistics_of(film, self._scene, settings, self._keeper, own)
+        film.statistics = cluster_statistics(film, self._scene, settings, self._keeper, own)
         film.statistics["warnings"] = [*dict.fromkeys([*self.warnings, *film.statistics["warnings"]])]
         if film.complete:
             show(_progress(render, settings, own.parts, time.perf_counter() - own.begun))

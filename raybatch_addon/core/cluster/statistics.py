@@ -15,7 +15,7 @@ from .keeping import ClusterKeeper
 from .under_way import UnderWay
 
 
-def statistics_of(
+def cluster_statistics(
     film: Film, scene: Scene, settings: RenderSettings, keeper: ClusterKeeper, under_way: UnderWay
 ) -> dict[str, Any]:
     """The report: what is known of renders on a cluster, and who rendered which samples (docs/statistics.md)."""
