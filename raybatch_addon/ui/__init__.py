@@ -7,6 +7,7 @@ from . import (
     builtin_panels,
     checkpoint,
     choices,
+    cluster,
     compare,
     convergence,
     devices,
@@ -39,6 +40,7 @@ _parts = (
     convergence,
     builtin_panels,
     preferences,
+    cluster,
 )
 
 

@@ -1,4 +1,4 @@
-"""The add-on's preferences: the general kernels."""
+"""The add-on's preferences: the general kernels, and the cluster."""
 
 from __future__ import annotations
 
@@ -35,10 +35,37 @@ class RayBatchPreferences(bpy.types.AddonPreferences):
 
     bl_idname = PACKAGE
 
+    cluster_address: bpy.props.StringProperty(
+        name="Scheduler",
+        description="The Dask cluster that Render on Cluster uses: the address of its scheduler, as tcp://host:8786, "
+        "or local:2 for two workers on this computer",
+    )
+    cluster_script: bpy.props.StringProperty(
+        name="render.py",
+        description="The command line that renders there: scripts/render.py of a folder with RayBatch's sources",
+        subtype="FILE_PATH",
+    )
+    cluster_python: bpy.props.StringProperty(
+        name="Python",
+        description="What runs it: a Python with Blender's module bpy and with Dask. Nothing: that of the environment "
+        ".venv in the same folder, which `make environment` makes",
+        subtype="FILE_PATH",
+    )
+
     def draw(self, _context):
         column = self.layout.column()
         column.label(text=f"General kernels: {general_kernels.state()}")
         column.operator(RAYBATCH_OT_compile_general_kernels.bl_idname)
+        column.separator()
+        column.label(text="Render on Cluster")
+        for name in ("cluster_address", "cluster_script", "cluster_python"):
+            column.prop(self, name)
+
+
+def own_preferences() -> RayBatchPreferences | None:
+    """Those of the add-on; None where it is registered without being enabled, as scripts do."""
+    addon = bpy.context.preferences.addons.get(PACKAGE)
+    return None if addon is None else addon.preferences
 
 
 _classes = (RAYBATCH_OT_compile_general_kernels, RayBatchPreferences)

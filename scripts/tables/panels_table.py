@@ -40,6 +40,7 @@ PAGES = {
     "batching": None,
     "before_render": None,
     "last_render": None,
+    "cluster": None,
     "compare": None,
     "convergence": RayBatchConvergence,
 }

@@ -299,7 +299,8 @@ def test_the_last_render_shows_geometry_beyond_memory(scene):
 def test_the_preferences_show_how_far_general_kernels_are(addon, monkeypatch):
     monkeypatch.setattr(general_kernels, "_process", SimpleNamespace(is_running=True, progress=(37, 79)))
     layout = Layout()
-    preferences.RayBatchPreferences.draw(SimpleNamespace(layout=layout), None)
+    own = preferences.RayBatchPreferences
+    own.draw(SimpleNamespace(layout=layout, bl_rna=own.bl_rna), None)
     assert "37 of 79 ready" in layout.notes[0][1]
     assert layout.notes[1][1] == preferences.RAYBATCH_OT_compile_general_kernels.bl_idname
 

@@ -47,7 +47,9 @@ def test_the_button_is_grey_while_they_are_being_compiled(kernels):
 
 def test_what_is_shown(kernels):
     layout = Layout()
-    preferences.RayBatchPreferences.draw(SimpleNamespace(layout=layout), None)
-    label, button = layout.notes
+    own = preferences.RayBatchPreferences
+    own.draw(SimpleNamespace(layout=layout, bl_rna=own.bl_rna), None)
+    label, button, *cluster = layout.notes
     assert label[1] == "General kernels: as far as that"
     assert button[:2] == ("operator", preferences.RAYBATCH_OT_compile_general_kernels.bl_idname)
+    assert [note[2] for note in cluster if note[0] == "prop"] == ["cluster_address", "cluster_script", "cluster_python"]
