@@ -61,15 +61,27 @@ class RendersUnderWay:
             thread.join()
 
     def _run(self) -> None:
-        while True:
+        try:
+            while self._goes_on():
+                time.sleep(_POLL_SECONDS)
+        except BaseException as error:  # nobody may wait for what does not come
             with self._lock:
-                self._all = [each for each in self._all if not self._has_ended(each)]
-                if not self._all:
-                    self._thread = None
-                    return
-                now = sorted(self._all, key=lambda each: not each.is_awaited)
-            self._step(now)
-            time.sleep(_POLL_SECONDS)
+                left, self._all, self._thread = self._all, [], None
+            for each in left:
+                each.error = each.error or error
+                each.ended.set()
+            raise
+
+    def _goes_on(self) -> bool:
+        """One step of all renders; False where there are none."""
+        with self._lock:
+            self._all = [each for each in self._all if not self._has_ended(each)]
+            if not self._all:
+                self._thread = None
+                return False
+            now = sorted(self._all, key=lambda each: not each.is_awaited)
+        self._step(now)
+        return True
 
     def _has_ended(self, each: UnderWay) -> bool:
         if not each.is_over:

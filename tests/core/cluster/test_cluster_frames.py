@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+import threading
 import time
 
 import pytest
@@ -10,6 +11,7 @@ from raybatch_addon.core.checkpoint.checkpoint import Checkpoint
 from raybatch_addon.core.cluster.connection import Connection
 from raybatch_addon.core.cluster.parts import parts_of
 from raybatch_addon.core.cluster.session import RENDERS_MOST, ClusterSession
+from raybatch_addon.core.cluster.under_way import RendersUnderWay
 from raybatch_addon.core.errors import RayBatchError
 from tests.core.cluster.clusters import SETTINGS, assert_same_film, wait_for
 from tests.support import scenes
@@ -149,4 +151,17 @@ def test_a_frame_that_is_cancelled_leaves_the_next_one_alone(connection, session
     assert_same_film(second.film(), session.render(frame(1), SETTINGS))
     again = cluster.begin(frame(0), SETTINGS, checkpoint=Checkpoint(path)).film()
     assert_same_film(again, session.render(frame(0), SETTINGS))
+    cluster.close()
+
+
+def test_nobody_waits_for_renders_that_cannot_go_on(connection, monkeypatch):
+    def failing(self, renders):
+        raise MemoryError("no memory is left")
+
+    monkeypatch.setattr(RendersUnderWay, "_step", failing)
+    monkeypatch.setattr(threading, "excepthook", lambda _: None)
+    cluster = ClusterSession(connection)
+    pending = cluster.begin(frame(0), SETTINGS)
+    with pytest.raises(MemoryError, match="no memory is left"):
+        pending.film()
     cluster.close()
