@@ -19,6 +19,7 @@ RESOURCE = "raybatch"
 # How long to wait for a scheduler, at first and where it was lost [s]
 CONNECT_SECONDS = 30.0
 _LOOK_SECONDS = 0.5  # how often workers are looked at
+_NOTICED_SECONDS = 1.0  # the end of a scheduler is noticed so long after an error by it
 _TOLD_SECONDS = 10.0  # words come at once, or their worker has ended
 _SECURE_SECONDS = 60.0  # a film that is not copied by then is lost with its worker, if that ends
 # A worker of which the scheduler heard nothing for so long, but of others, is taken to be gone [s]
@@ -81,7 +82,14 @@ class Connection:
                 f"there is no scheduler at {self._address} ({type(error).__name__}: {error}); start one with `dask "
                 "scheduler`, or name its address"
             ) from error
-        self._looked = float("-inf")
+        self._looked, self._scheduler = float("-inf"), self._scheduler_now
+
+    @property
+    def _scheduler_now(self) -> str:
+        """Which process the client speaks with: one that came back at the same address, which Dask finds by itself,
+        knows of nothing that was asked.
+        """
+        return str(self._client._scheduler_identity.get("id", ""))
 
     def _drop(self) -> None:
         client, self._client = self._client, None
@@ -92,7 +100,17 @@ class Connection:
     @property
     def is_lost(self) -> bool:
         """Whether the scheduler is gone, with all that was asked of it."""
-        return self._client is None or self._client.status != "running"
+        client = self._client
+        return client is None or client.status != "running" or self._scheduler_now != self._scheduler
+
+    def was_lost(self) -> bool:
+        """Whether an error is for that, which may be noticed a moment later."""
+        end = time.monotonic() + _NOTICED_SECONDS
+        while not self.is_lost:
+            if time.monotonic() > end:
+                return False
+            time.sleep(0.05)
+        return True
 
     def reconnect(self, cancelled: Callable[[], bool]) -> bool:
         """Wait for the scheduler to come back; False once `cancelled()`. Raises `ClusterError` after a while."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import CancelledError
 from dataclasses import dataclass, field
 
 from ..measure.parts import Parts
@@ -109,8 +110,9 @@ class RendersUnderWay:
         try:
             work()
         except Exception as error:
-            # where the connection is lost it is for that, and nothing that was asked of it will come
-            if not (self._connection.is_lost and isinstance(error, (ClusterError, OSError, RuntimeError, ValueError))):
+            # where the connection is lost it may be for that, and nothing that was asked of it will come
+            may_be_for_that = isinstance(error, (ClusterError, CancelledError, OSError, RuntimeError, ValueError))
+            if not (may_be_for_that and self._connection.was_lost()):
                 each.error = error
 
     def _reconnect(self, renders: list[UnderWay]) -> None:
