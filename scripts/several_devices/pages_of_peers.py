@@ -134,7 +134,6 @@ def main() -> int:
     )
     cases = {
         "PEERS": (options.device, settings.replace(geometry_store="PEERS")),
-        "AUTO": (options.device, settings.replace(geometry_store="AUTO")),
         "HOST": (options.device, settings.replace(geometry_store="HOST")),
         "HOST, one device": (devices[0].alias, settings.replace(geometry_store="HOST")),
     }

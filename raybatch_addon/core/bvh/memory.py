@@ -91,10 +91,6 @@ class GeometrySize:
         """Trees and triangles, with copies and nodes for ranges of time, from above [bytes]."""
         return TREE_BYTES_MOST[layout] * self.triangles + (1 + NODES_OVER_TIME) * self.step_bytes(layout)
 
-    def packed_bytes(self) -> int:
-        """Trees and packed triangles as pages are stored, about [bytes]."""
-        return int(PAGES_OVER * (PACKED_BYTES * self.triangles + PACKED_COPY_BYTES * self.copies))
-
     def arrays(self) -> int:
         """Geometry alone [bytes]."""
         return ROW * (self.triangles + self.vertices) + NORMALS * self.smooth * self.triangles

@@ -135,12 +135,7 @@ class MemorySettings:
         effect="schedule",
         auto="AUTO",
         choices=(
-            (
-                "AUTO",
-                "Auto",
-                "Memory of the other GPUs where several of one model render and read it by themselves, else host "
-                "memory of a CUDA device where that is large enough, else disk",
-            ),
+            ("AUTO", "Auto", "Host memory of a CUDA device where that is large enough, else disk"),
             ("HOST", "Host RAM", "The host's memory, page-locked for a CUDA device"),
             ("DISK", "Disk", "A file beside the cache of compiled kernels, written once and used again"),
             # last: files of Blender keep the place in this list

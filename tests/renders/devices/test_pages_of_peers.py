@@ -10,7 +10,6 @@ from raybatch_addon.core.bvh.pages.peers.store import PeerStore
 from raybatch_addon.core.scene.description import Scene
 from tests.renders.devices.test_several_devices import COUNT, assert_same_film, settings_of, several
 from tests.support import scenes
-from tests.support.under_test import DEVICE
 from tests.support.watched_renders import FRAME
 
 pytestmark = pytest.mark.usefixtures("general_kernels")
@@ -82,9 +81,3 @@ def test_a_failure_on_one_device_leaves_the_session_well(session, several, monke
     with pytest.raises(Exception, match="it broke"):
         several.render(scenes.mixed(FRAME), settings)
     assert_same_film(several.render(scenes.mixed(FRAME), settings), expected)
-
-
-@pytest.mark.skipif(DEVICE == "cpu", reason="the CPU keeps pages on disk, unless it is told otherwise")
-def test_cuda_devices_choose_it_themselves(several):
-    found = several.render(scenes.mixed(FRAME), settings_of("peers").replace(geometry_store="AUTO")).statistics
-    assert found["tree"]["store"] == "PEERS" == found["batching"]["auto"]["geometry_store"]["value"]

@@ -15,7 +15,6 @@ from typing import Any
 from ...bvh.build.scene_tree import splits_triangles
 from ...bvh.memory import GeometrySize
 from ...bvh.node import Layout
-from ...bvh.pages.peers.share import hold_all
 from ...bvh.treelets.cut import CutRule
 from ...host_memory import size_text
 from ...settings.settings import RenderSettings
@@ -137,7 +136,7 @@ def _plan_of_rays(
         fits, why = needed <= budget, f"{device} has {size_text(free)} free"
     if not fits:
         reason = f"the scene needs up to {size_text(wanted)}, and {why}"
-        return _paged(settings, is_cuda, tree, size.packed_bytes(), memory, reason)
+        return _paged(settings, is_cuda, tree, memory, reason)
     if mode == "ON":
         return _batched(settings, layout, choices)
     costs = costs_of(is_cuda)
@@ -162,7 +161,7 @@ def _batched(settings: RenderSettings, layout: Layout, choices: dict[str, Choice
     return TracingPlan(Method.BATCHED, treelet_bytes=treelet_bytes, treelet_size=settings.treelet_size, choices=choices)
 
 
-def _paged(settings: RenderSettings, is_cuda: bool, tree: int, packed: int, memory: Memory, why: str) -> TracingPlan:
+def _paged(settings: RenderSettings, is_cuda: bool, tree: int, memory: Memory, why: str) -> TracingPlan:
     budget, store, choices = settings.geometry_budget, settings.geometry_store, {}
     if settings.batching == "AUTO":
         choices["batching"] = Choice("ON", f"{why}: its geometry is brought in by pages")
@@ -175,11 +174,6 @@ def _paged(settings: RenderSettings, is_cuda: bool, tree: int, packed: int, memo
     if store == "PEERS" and memory.peers < 2:
         complaints = [f"geometry_store is HOST, not PEERS: {memory.apart}"]
         store, choices["geometry_store"] = "HOST", Choice("HOST", memory.apart)
-    if store == "AUTO" and is_cuda and memory.peers > 1 and hold_all(budget, memory.peers, packed):
-        store = "PEERS"
-        choices["geometry_store"] = Choice(
-            store, f"{memory.peers} devices of one model render and read each other's memory: each holds a share"
-        )
     if store == "AUTO":
         store, reason = "DISK", "memory is the device here, and what does not fit in it lies on disk"
         if is_cuda:

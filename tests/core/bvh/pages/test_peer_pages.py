@@ -15,7 +15,7 @@ from raybatch_addon.core.bvh.pages.build import build_paged_scene
 from raybatch_addon.core.bvh.pages.peers import access
 from raybatch_addon.core.bvh.pages.peers import store as store_module
 from raybatch_addon.core.bvh.pages.peers.build import build_with_peers
-from raybatch_addon.core.bvh.pages.peers.share import PEER_SHARE_MOST, Hold, hold_all, ways_to_hold
+from raybatch_addon.core.bvh.pages.peers.share import PEER_SHARE_MOST, Hold, ways_to_hold
 from raybatch_addon.core.bvh.pages.peers.shared import PeerPages, SharedPages
 from raybatch_addon.core.bvh.pages.peers.store import BuiltPages, PeerPlace, PeerStore
 from raybatch_addon.core.bvh.pages.residency import Residency
@@ -179,7 +179,6 @@ def test_shares():
     assert ways_to_hold(1000, 4, plain=4 * most + 1, packed=900) == [Hold(225, True), Hold(225, True), Hold(0, True)]
     assert ways_to_hold(1000, 2, plain=10**6, packed=10**5) == [Hold(most, True), Hold(half, True), Hold(0, True)]
     assert ways_to_hold(1000, 2, plain=10**6, packed=None) == [Hold(most, False), Hold(half, False), Hold(0, False)]
-    assert hold_all(1000, 2, 2 * most) and not hold_all(1000, 2, 2 * most + 1)
 
 
 # --- who builds them

@@ -9,7 +9,6 @@ import pytest
 
 from raybatch_addon.core.bvh.memory import COPY_BYTES, NODES_OVER_TIME, TREE_BYTES_MOST, GeometrySize
 from raybatch_addon.core.bvh.node import Layout
-from raybatch_addon.core.bvh.pages.peers.share import PEER_SHARE_MOST
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.plan.cost_model import split_seconds
 from raybatch_addon.core.wavefront.plan.plan import (
@@ -109,19 +108,12 @@ def peers_plan(free: int = 100 * GB, peers: int = 2, apart: str = "", is_cuda: b
     return plan_tracing(RenderSettings(batching="ON", **settings), size, layout, is_cuda, memory)
 
 
-def test_devices_hold_pages_for_each_other_where_they_can_hold_all():
-    """And nothing else is asked for; of the CPU there is one."""
-    found = peers_plan()
+def test_devices_hold_pages_for_each_other_where_that_is_asked_for():
+    """What that gains was not measured, so AUTO leaves it alone."""
+    found = peers_plan(geometry_store="PEERS")
     assert found.geometry_store == "PEERS" and not found.complaints
-    assert found.choices["geometry_store"].why.startswith("2 devices of one model render and read each other's memory")
+    assert peers_plan().geometry_store == "DISK"
     assert peers_plan(geometry_store="HOST").geometry_store == "HOST"
-    assert peers_plan(is_cuda=False).geometry_store == "DISK"
-    assert peers_plan(peers=1, apart="one device renders").geometry_store == "DISK"
-    packed = GeometrySize(TRIANGLES, 0, TRIANGLES, smooth=True).packed_bytes()
-    least = int(packed / (2 * PEER_SHARE_MOST)) + 2
-    assert peers_plan(geometry_budget=least).geometry_store == "PEERS"
-    assert peers_plan(geometry_budget=least - 10).geometry_store == "DISK"
-    assert peers_plan(geometry_budget=least - 10, geometry_store="PEERS").geometry_store == "PEERS"
 
 
 def test_devices_that_cannot_hold_pages_for_each_other_say_why():

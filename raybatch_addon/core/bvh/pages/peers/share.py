@@ -34,8 +34,3 @@ def ways_to_hold(budget: int, count: int, plain: int, packed: int | None) -> lis
     first = Hold(each, False) if each <= most or packed is None else Hold(-(-packed // count), True)
     last = packed is not None
     return [Hold(min(first.share, most), first.encoded), Hold(min(first.share, most // 2), last), Hold(0, last)]
-
-
-def hold_all(budget: int, count: int, stored: int) -> bool:
-    """Whether the shares of `count` devices hold `stored` bytes of pages."""
-    return stored <= count * int(PEER_SHARE_MOST * budget)
