@@ -213,6 +213,8 @@ def build_paged_scene(
         record=record,
     )
     if made is None:
+        if isinstance(pages, PeerPlace):
+            peers.shared.refuse(key)
         raise too_small()
     if copy:
         # where nodes stay on the device, a page begins with its triangles

@@ -6,19 +6,22 @@ import gc
 import threading
 import time
 import weakref
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import warp as wp
 
 from ....errors import check_cancelled
-from .share import Hold
+from .share import Hold, ShareTooLargeError
 from .store import BuiltPages
 
 # How often those who wait ask whether the render was cancelled [s]
 _POLL = 0.05
 # Pages of the last frame are waited for at most so long, until the last device gives them up [s]
 _PATIENCE = 5.0
+# Pages that were refused and are remembered: those of a few scenes
+_REFUSED_MOST = 16
 
 
 class SharedPages:
@@ -27,15 +30,18 @@ class SharedPages:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._key = b""
+        self._refused: deque[bytes] = deque(maxlen=_REFUSED_MOST)
         self._last: weakref.ref[BuiltPages] | None = None
 
     def get(self, key: bytes, build: Callable[[], BuiltPages], cancelled: Callable[[], bool]) -> BuiltPages:
         """The pages with this `key`: those that are there, or what `build` makes, whose errors are raised. Others that
-        ask meanwhile wait for it. Raises `BuildCancelledError`.
+        ask meanwhile wait for it. Raises `BuildCancelledError`, and `ShareTooLargeError` for pages that were refused.
         """
         while not self._lock.acquire(timeout=_POLL):
             check_cancelled(cancelled)
         try:
+            if key in self._refused:
+                raise ShareTooLargeError("another device found no room beside its share of these pages")
             there = self._last() if self._last else None
             if there is not None and self._key == key:
                 return there
@@ -46,6 +52,13 @@ class SharedPages:
             return made
         finally:
             self._lock.release()
+
+    def refuse(self, key: bytes) -> None:
+        """Beside the pages with this `key` there is no room for anything else, on this device or any other, since they
+        have the same budget: nobody builds them again. Called while they are held.
+        """
+        with self._lock:
+            self._refused.append(key)
 
     def _wait_for_room(self, cancelled: Callable[[], bool]) -> None:
         """Until the pages of the last frame are gone: each device gives them up before it asks for others."""
