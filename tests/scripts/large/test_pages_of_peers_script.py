@@ -27,7 +27,7 @@ def report(tmp_path, monkeypatch):
 
 def test_stores_are_rendered_in_turn_and_give_one_film(report, monkeypatch):
     code, found = report()
-    assert code == 0 and list(found["renders"]) == ["PEERS", "AUTO", "HOST", "HOST, one device", "in memory"]
+    assert code == 0 and list(found["renders"]) == ["PEERS", "HOST", "HOST, one device", "in memory"]
     assert found["apart"] == "one device renders" and found["copies"] == {}
     assert all(row["same"] and len(row["seconds"]) == 1 for row in found["renders"].values())
     assert found["renders"]["PEERS"]["store"] == "HOST" and found["renders"]["in memory"]["store"] is None

@@ -55,10 +55,10 @@ class SharedPages:
 
     def refuse(self, key: bytes) -> None:
         """Beside the pages with this `key` there is no room for anything else, on this device or any other, since they
-        have the same budget: nobody builds them again. Called while they are held.
+        have the same budget: nobody builds them again. Called while they are held, without the lock: who has it may
+        wait for them to be given up.
         """
-        with self._lock:
-            self._refused.append(key)
+        self._refused.append(key)
 
     def _wait_for_room(self, cancelled: Callable[[], bool]) -> None:
         """Until the pages of the last frame are gone: each device gives them up before it asks for others."""
