@@ -54,7 +54,7 @@ class RAYBATCH_OT_render_on_cluster(bpy.types.Operator):
                 bpy.ops.wm.save_as_mainfile(filepath=str(file), copy=True, relative_remap=True, check_existing=False)
             except RuntimeError as error:
                 raise CommandError(f"a copy of the file cannot be saved in {folder}: {error}") from error
-        which = ["--frames", f"{frames[0]}..{frames[-1]}"] if frames else ["--frame", str(scene.frame_current)]
+        which = [f"--frames={frames[0]}..{frames[-1]}"] if frames else [f"--frame={scene.frame_current}"]
         out = bpy.path.abspath(scene.render.filepath) if frames else str(folder / _PICTURE)
         if frames and scene.render.is_movie_format:
             out = bpy.path.abspath(scene.render.frame_path())

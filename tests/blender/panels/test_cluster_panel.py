@@ -123,7 +123,7 @@ say(f"render.py: saved {{out}}")
     assert abs(shown.pixels[0] - 0.25) < 1e-3
     assert any("a material is missing" in each for each in panel())
     arguments = (folder / "arguments").read_text().split("\n")
-    assert arguments[:3] == [str(saved), "--frame", "1"] and arguments[-2:] == ["--cluster", "local:1"]
+    assert arguments[:2] == [str(saved), "--frame=1"] and arguments[-2:] == ["--cluster", "local:1"]
     assert not {"PYTHONPATH", "PYTHONHOME"} & {*(folder / "variables").read_text().split("\n")}
     # a second one takes its place
     assert bpy.ops.raybatch.render_on_cluster() == {"FINISHED"}
@@ -165,7 +165,7 @@ wait("never")
     follow()
     assert running.current.error == "" and "It was stopped" in panel()
     arguments = (folder / "arguments").read_text().split("\n")
-    assert arguments[1:5] == ["--frames", "3..6", "-o", str(tmp_path / "out" / "f")]
+    assert arguments[1:4] == ["--frames=3..6", "-o", str(tmp_path / "out" / "f")]
 
 
 def test_the_end_of_the_add_on_ends_it(own, command, saved):

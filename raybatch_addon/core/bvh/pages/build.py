@@ -188,7 +188,7 @@ def build_paged_scene(
             held = PeerStore(peers.devices, share)
             return BuiltPages(build(builder, page_bytes, held)[0], held)
 
-        key = _key(flat, layout, builder, rule, page_bytes, encoded) + repr((peers.devices, share)).encode()
+        key = _key(flat, layout, builder, rule, page_bytes, encoded) + repr((peers.devices, share, budget)).encode()
         built = peers.shared.get(key, make, cancelled)
         tables, pages = built.tables, PeerPlace(built, peers.place)
     else:
@@ -213,7 +213,7 @@ def build_paged_scene(
         record=record,
     )
     if made is None:
-        if isinstance(pages, PeerPlace):
+        if isinstance(pages, PeerPlace) and share:
             peers.shared.refuse(key)
         raise too_small()
     if copy:

@@ -32,7 +32,7 @@ class KeptBakes:
     def get(self, mesh: Mesh, transform: np.ndarray) -> MeshChunk:
         """`baked_mesh(mesh, transform)`, which nobody changes."""
         arrays = mesh.positions, mesh.triangles, mesh.corner_normals, mesh.triangle_slot, mesh.radii
-        where = np.asarray(transform).tobytes()
+        where = np.asarray(transform).tobytes(), mesh.ribbons
         known = self._last.get(id(mesh.positions))
         if known is None or not known[0].holds(arrays, where):
             known = Same(arrays, where), baked_mesh(mesh, transform)
