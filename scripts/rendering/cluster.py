@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-import re
 from collections.abc import Iterator
 
 from lib.command import UsageError
 from lib.output import print_notes
 
+from raybatch_addon.blender.cluster.command import local_workers, names_cluster
 from raybatch_addon.blender.kernel_cache import kernel_cache_folder
-
-_LOCAL = re.compile(r"local:(\d+)")
-_ADDRESS = re.compile(r"(tcp|tls|ws|wss|ucx)://\S+|\S+:\d+")
 
 
 def check_cluster(text: str) -> str:
     """`text`, if it names a cluster; raises `UsageError`."""
-    if (found := _LOCAL.fullmatch(text)) and int(found[1]) > 0:
-        return text
-    if _LOCAL.match(text) or not _ADDRESS.fullmatch(text):
+    if not names_cluster(text):
         raise UsageError(
             f"--cluster {text}: give a scheduler's address, as tcp://host:8786, or local:N for N workers here"
         )
@@ -37,11 +32,11 @@ def cluster_session(text: str) -> Iterator:
         print_notes([line])
 
     with contextlib.ExitStack() as stack:
-        if found := _LOCAL.fullmatch(text):
-            text = stack.enter_context(local_cluster(int(found[1]), str(kernel_cache_folder())))
+        if count := local_workers(text):
+            text = stack.enter_context(local_cluster(count, str(kernel_cache_folder())))
         connection = Connection(text, report)
         stack.callback(connection.close)
-        if connection.dashboard and not found:
+        if connection.dashboard and not count:
             report(f"the cluster's dashboard is {connection.dashboard}")
         session = ClusterSession(connection, report)
         stack.callback(session.close)

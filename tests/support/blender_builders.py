@@ -37,6 +37,27 @@ def add_grid(name, edge):
     return add_mesh(name, vertices.tolist(), faces.tolist())
 
 
+def add_moving_grids():
+    """A grid that waves with time, and one that moves by keyframes."""
+    waves, moving = add_grid("Waves", 6), add_grid("Moving", 3)
+    wave = waves.modifiers.new("Wave", "WAVE")
+    wave.height, wave.speed = 0.4, 0.2
+    for number in (1, 5):
+        moving.location = (number / 4, 0, 0.5)
+        moving.keyframe_insert("location", frame=number)
+    return waves, moving
+
+
+def saved_for_cpu(scene, folder):
+    """The file, with a world, that renders `scene` on the CPU, in a new folder inside `folder`."""
+    scene.world = bpy.data.worlds.new("World")
+    scene.raybatch.device = "cpu"
+    path = folder / "scene" / "a.blend"
+    path.parent.mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    return path
+
+
 def exported():
     """The current scene as the core gets it."""
     return export_scene(bpy.context.evaluated_depsgraph_get())

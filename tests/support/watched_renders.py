@@ -50,6 +50,15 @@ def assert_same(passes, expected):
         assert np.array_equal(passes[name], expected[name]), name
 
 
+def assert_same_film(film: Film, expected: Film) -> None:
+    """Bit for bit, with the same samples of each pixel, and the same halves."""
+    assert film.complete
+    assert np.array_equal(film.counts, expected.counts)
+    assert_same(film.passes, expected.passes)
+    for mine, theirs in zip(film.halves or (), expected.halves or (), strict=True):
+        assert_same(mine.passes, theirs.passes)
+
+
 def rounded_anew(film: Film) -> dict[str, np.ndarray]:
     """The film's passes, made of the sums on the host."""
     return film.merge(Film.empty(FRAME)).passes

@@ -13,8 +13,19 @@ SCRIPT = "render.py"
 WHERE = "Preferences > Add-ons > RayBatch"
 # Pythons of an environment in a checkout, as `make environment` makes it
 _ENVIRONMENT = (".venv/bin/python", ".venv/Scripts/python.exe")
-# As render.py takes --cluster
-_ADDRESS = re.compile(r"local:[1-9]\d*|(tcp|tls|ws|wss|ucx)://\S+|(?!local:)\S+:\d+")
+_LOCAL = re.compile(r"local:0*([1-9]\d*)")
+_ADDRESS = re.compile(r"(tcp|tls|ws|wss|ucx)://\S+|(?!local:\d)\S+:\d+")
+
+
+def local_workers(text: str) -> int:
+    """N of local:N, which is that many workers on this computer; 0 for anything else."""
+    found = _LOCAL.fullmatch(text)
+    return int(found[1]) if found else 0
+
+
+def names_cluster(text: str) -> bool:
+    """Whether `text` is the address of a scheduler, or local:N."""
+    return bool(local_workers(text) or _ADDRESS.fullmatch(text))
 
 
 class CommandError(RayBatchError):
@@ -51,7 +62,7 @@ class Environment:
                 f"no cluster is named: write the address of its scheduler, as tcp://host:8786, or local:2 for two "
                 f"workers on this computer, in {WHERE}"
             )
-        if not _ADDRESS.fullmatch(address):
+        if not names_cluster(address):
             raise CommandError(
                 f"“{address}” names no cluster: write the address of its scheduler, as tcp://host:8786, or local:2 "
                 f"for two workers on this computer, in {WHERE}"

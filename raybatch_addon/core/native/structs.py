@@ -80,16 +80,12 @@ def arrays_in(value: Any) -> dict[int, int]:
 def copied_to(array: wp.array, device: wp.Device) -> wp.array:
     """A copy of `array` on `device`.
 
-    Warp copies on the stream of `device`, which knows nothing of another device's: here it waits for what that one was
-    told before, and that one waits for the copy before it overwrites or frees anything.
+    Warp copies on the stream of `device`, and has another device wait for that before it overwrites or frees anything.
+    Here the copy also waits for what that device was told before.
     """
-    source = array.device
-    if not (source.is_cuda and device.is_cuda) or source == device:
-        return wp.clone(array, device=device)
-    device.stream.wait_event(source.stream.record_event())
-    made = wp.clone(array, device=device)
-    source.stream.wait_event(device.stream.record_event())
-    return made
+    if array.device.is_cuda and device.is_cuda and array.device != device:
+        device.stream.wait_event(array.device.stream.record_event())
+    return wp.clone(array, device=device)
 
 
 def struct_on(value: Any, device: wp.Device) -> Any:

@@ -1,7 +1,5 @@
 """Frames of an animation on a cluster: each is as alone, and the next one is begun while the last is rendered."""
 
-import os
-
 import numpy as np
 import pytest
 from PIL import Image
@@ -11,32 +9,25 @@ pytest.importorskip("distributed")
 
 from raybatch_addon.blender import frame
 from raybatch_addon.blender.cluster import frames_ahead
-from raybatch_addon.core.cluster.local import local_cluster
 from raybatch_addon.core.cluster.session import ClusterSession, PendingFilm
 from raybatch_addon.core.errors import SceneError
-from tests.support.blender_builders import add_grid
+from tests.core.cluster.clusters import two_workers
+from tests.support.blender_builders import add_grid, add_moving_grids, saved_for_cpu
 from tests.support.scripts_here import call_script
 
 
 @pytest.fixture(scope="module")
 def address(tmp_path_factory):
     """A scheduler with two workers on this machine."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("RAYBATCH_PART_FOLDER", str(tmp_path_factory.mktemp("parts")))
-        with local_cluster(2, os.environ.get("RAYBATCH_KERNEL_CACHE")) as found:
-            yield found
+    with two_workers(tmp_path_factory.mktemp("parts")) as found:
+        yield found
 
 
 @pytest.fixture
 def blend(scene, tmp_path):
     """What moves by keyframes, by time and by physics, which needs the frame before; and a camera that changes."""
-    wave = add_grid("Waves", 6).modifiers.new("Wave", "WAVE")
-    wave.height, wave.speed = 0.4, 0.2
-    wave.id_data.modifiers.new("Subdivision", "SUBSURF").render_levels = 2
-    moving = add_grid("Moving", 3)
-    for number in (1, 5):
-        moving.location = (number / 4, 0, 0.5)
-        moving.keyframe_insert("location", frame=number)
+    waves, _ = add_moving_grids()
+    waves.modifiers.new("Subdivision", "SUBSURF").render_levels = 2
     falling = add_grid("Falling", 1)
     falling.location = (0, 0.5, 1.0)
     bpy.context.view_layer.objects.active = falling
@@ -48,12 +39,7 @@ def blend(scene, tmp_path):
     scene.collection.objects.link(second)
     for number, camera in ((1, scene.camera), (3, second)):
         scene.timeline_markers.new("Camera", frame=number).camera = camera
-    scene.world = bpy.data.worlds.new("World")
-    scene.raybatch.device = "cpu"
-    path = tmp_path / "scene" / "a.blend"
-    path.parent.mkdir()
-    bpy.ops.wm.save_as_mainfile(filepath=str(path))
-    return path
+    return saved_for_cpu(scene, tmp_path)
 
 
 @pytest.fixture

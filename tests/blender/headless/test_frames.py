@@ -13,25 +13,15 @@ from PIL import Image
 bpy = pytest.importorskip("bpy")
 
 from raybatch_addon.blender import frame
-from tests.support.blender_builders import add_grid
+from tests.support.blender_builders import add_moving_grids, saved_for_cpu
 from tests.support.scripts_here import call_script
 
 
 @pytest.fixture
 def blend(scene, tmp_path):
     """A grid that waves, and one that moves from frame to frame."""
-    wave = add_grid("Waves", 6).modifiers.new("Wave", "WAVE")
-    wave.height, wave.speed = 0.4, 0.2
-    moving = add_grid("Moving", 3)
-    for number in (1, 5):
-        moving.location = (number / 4, 0, 0.5)
-        moving.keyframe_insert("location", frame=number)
-    scene.world = bpy.data.worlds.new("World")
-    scene.raybatch.device = "cpu"
-    path = tmp_path / "scene" / "a.blend"
-    path.parent.mkdir()
-    bpy.ops.wm.save_as_mainfile(filepath=str(path))
-    return path
+    add_moving_grids()
+    return saved_for_cpu(scene, tmp_path)
 
 
 def names(folder):

@@ -1,23 +1,40 @@
 """What tests of clusters share."""
 
+import contextlib
+import os
 import time
 
-import numpy as np
+import pytest
 
+from raybatch_addon.core.cluster.local import local_cluster
 from raybatch_addon.core.cluster.ranges import SampleRange
 from raybatch_addon.core.settings.settings import RenderSettings
-from tests.support.watched_renders import assert_same
 
 SETTINGS = RenderSettings(sample_count=48, bounce_max=5)
 
 
-def dealt_evenly(self, workers):
-    """As `RangeDeal.next`: two samples a task."""
-    if self.is_dealt:
-        return None
-    samples = SampleRange(self._next, min(self._next + 2, self.end))
-    self._next = samples.end
-    return samples
+def dealing(count):
+    """A `RangeDeal.next` of `count` samples a task."""
+
+    def dealt(self, workers):
+        if self.is_dealt:
+            return None
+        samples = SampleRange(self._next, min(self._next + count, self.end))
+        self._next = samples.end
+        return samples
+
+    return dealt
+
+
+@contextlib.contextmanager
+def two_workers(folder):
+    """The address of a scheduler with two workers on this machine, which come back when they are killed; their parts
+    lie in `folder`.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RAYBATCH_PART_FOLDER", str(folder))
+        with local_cluster(2, os.environ.get("RAYBATCH_KERNEL_CACHE")) as address:
+            yield address
 
 
 def wait_for(condition, seconds=60.0):
@@ -26,12 +43,3 @@ def wait_for(condition, seconds=60.0):
     while not condition():
         assert time.monotonic() < end, "it did not come"
         time.sleep(0.05)
-
-
-def assert_same_film(film, expected):
-    """Bit for bit, with the same samples of each pixel, and the same halves."""
-    assert film.complete
-    assert np.array_equal(film.counts, expected.counts)
-    assert_same(film.passes, expected.passes)
-    for mine, theirs in zip(film.halves or (), expected.halves or (), strict=True):
-        assert_same(mine.passes, theirs.passes)

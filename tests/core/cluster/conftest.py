@@ -1,15 +1,12 @@
 """A cluster of two processes on this machine."""
 
-import os
-
 import pytest
 
 pytest.importorskip("distributed")
 
 from raybatch_addon.core.cluster.connection import Connection
-from raybatch_addon.core.cluster.local import local_cluster
 from raybatch_addon.core.cluster.ranges import RangeDeal
-from tests.core.cluster.clusters import SETTINGS, dealt_evenly, wait_for
+from tests.core.cluster.clusters import SETTINGS, dealing, two_workers, wait_for
 from tests.support import scenes
 from tests.support.watched_renders import FRAME
 
@@ -17,10 +14,8 @@ from tests.support.watched_renders import FRAME
 @pytest.fixture(scope="module")
 def address(tmp_path_factory):
     """A scheduler with two workers on this machine, which come back when they are killed."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("RAYBATCH_PART_FOLDER", str(tmp_path_factory.mktemp("parts")))
-        with local_cluster(2, os.environ.get("RAYBATCH_KERNEL_CACHE")) as found:
-            yield found
+    with two_workers(tmp_path_factory.mktemp("parts")) as found:
+        yield found
 
 
 @pytest.fixture
@@ -41,4 +36,4 @@ def expected(session):
 @pytest.fixture
 def long_tasks(monkeypatch):
     """Every range takes as long as it would in a larger picture, and there are some twenty of them."""
-    monkeypatch.setattr(RangeDeal, "next", dealt_evenly)
+    monkeypatch.setattr(RangeDeal, "next", dealing(2))

@@ -22,10 +22,10 @@ from raybatch_addon.core.cluster import films
 from raybatch_addon.core.cluster.connection import ClusterError, Connection
 from raybatch_addon.core.cluster.session import ClusterSession
 from raybatch_addon.core.errors import SettingsError
-from tests.core.cluster.clusters import SETTINGS, assert_same_film, wait_for
+from tests.core.cluster.clusters import SETTINGS, wait_for
 from tests.support import scenes
 from tests.support.under_test import DEVICE
-from tests.support.watched_renders import FRAME, PASSES, assert_same
+from tests.support.watched_renders import FRAME, PASSES, assert_same, assert_same_film
 
 pytestmark = pytest.mark.usefixtures("general_kernels")
 

@@ -7,9 +7,9 @@ from raybatch_addon.core.checkpoint.file import load_kept
 from raybatch_addon.core.cluster.connection import Connection
 from raybatch_addon.core.cluster.session import ClusterSession
 from raybatch_addon.core.errors import RayBatchError
-from tests.core.cluster.clusters import SETTINGS, assert_same_film
+from tests.core.cluster.clusters import SETTINGS
 from tests.support import scenes
-from tests.support.watched_renders import FRAME
+from tests.support.watched_renders import FRAME, assert_same_film
 
 pytestmark = pytest.mark.usefixtures("general_kernels")
 
@@ -52,15 +52,12 @@ def test_the_film_is_that_of_one_process(connection, by_one, long_tasks):
 
 
 def test_pixels_that_ended_go_to_a_machine_once_and_are_asked_for_where_they_are_lost(connection, session, monkeypatch):
-    from raybatch_addon.core.cluster.work import part_store
-
     expected, lost = session.render(scenes.mixed(FRAME), ADAPTIVE), []
     submit = Connection.submit
 
     def submit_without(self, name, *arguments, **options):
         if name == "render" and arguments[4] and len(lost) < 2:
             lost.append(arguments[4])
-            monkeypatch.setattr("raybatch_addon.core.cluster.work.part_store", part_store)
             self._client.run(lose, arguments[4])
         return submit(self, name, *arguments, **options)
 

@@ -10,12 +10,13 @@ import pytest
 from raybatch_addon.core.checkpoint.checkpoint import Checkpoint
 from raybatch_addon.core.cluster.connection import Connection
 from raybatch_addon.core.cluster.parts import parts_of
+from raybatch_addon.core.cluster.ranges import RangeDeal
 from raybatch_addon.core.cluster.session import RENDERS_MOST, ClusterSession
 from raybatch_addon.core.cluster.under_way import RendersUnderWay
 from raybatch_addon.core.errors import RayBatchError
-from tests.core.cluster.clusters import SETTINGS, assert_same_film, wait_for
+from tests.core.cluster.clusters import SETTINGS, dealing, wait_for
 from tests.support import scenes
-from tests.support.watched_renders import FRAME
+from tests.support.watched_renders import FRAME, assert_same_film
 
 pytestmark = pytest.mark.usefixtures("general_kernels")
 
@@ -64,15 +65,6 @@ def test_frames_overlap_and_are_those_of_frames_alone(connection, session, long_
 
 def test_the_next_frame_has_what_a_frame_leaves(connection, session, monkeypatch, tmp_path):
     """A frame whose last task never comes back leaves a worker to the next one, which is complete before it."""
-    from raybatch_addon.core.cluster.ranges import RangeDeal, SampleRange
-
-    def halves(self, workers):
-        if self.is_dealt:
-            return None
-        dealt = SampleRange(self._next, min(self._next + 24, self.end))
-        self._next = dealt.end
-        return dealt
-
     submit, held = Connection.submit, []
 
     def submit_held(self, name, *arguments, **options):
@@ -81,7 +73,7 @@ def test_the_next_frame_has_what_a_frame_leaves(connection, session, monkeypatch
             return held[0]
         return submit(self, name, *arguments, **options)
 
-    monkeypatch.setattr(RangeDeal, "next", halves)
+    monkeypatch.setattr(RangeDeal, "next", dealing(24))
     monkeypatch.setattr(RangeDeal, "is_late", lambda self, samples, seconds: False)
     monkeypatch.setattr(Connection, "submit", submit_held)
     cluster = ClusterSession(connection)

@@ -8,9 +8,9 @@ from raybatch_addon.core import session_device
 from raybatch_addon.core.bvh.pages.peers import build as peers_build
 from raybatch_addon.core.bvh.pages.peers.store import PeerStore
 from raybatch_addon.core.scene.description import Scene
-from tests.renders.devices.test_several_devices import COUNT, assert_same_film, settings_of, several
+from tests.renders.devices.test_several_devices import COUNT, failing, settings_of, several
 from tests.support import scenes
-from tests.support.watched_renders import FRAME
+from tests.support.watched_renders import FRAME, assert_same_film
 
 pytestmark = pytest.mark.usefixtures("general_kernels")
 
@@ -69,15 +69,8 @@ def test_devices_that_fail_to_read_each_other_use_host_memory(session, several, 
 
 def test_a_failure_on_one_device_leaves_the_session_well(session, several, monkeypatch):
     settings = settings_of("peers")
-    expected, build, begun = session.render(scenes.mixed(FRAME), settings), peers_build.build_paged_scene, []
-
-    def failing(*given, **more):
-        begun.append(1)
-        if len(begun) == 2:
-            raise RuntimeError("it broke")
-        return build(*given, **more)
-
-    monkeypatch.setattr(peers_build, "build_paged_scene", failing)
+    expected, end = session.render(scenes.mixed(FRAME), settings), RuntimeError("it broke")
+    monkeypatch.setattr(peers_build, "build_paged_scene", failing(peers_build.build_paged_scene, 2, end))
     with pytest.raises(Exception, match="it broke"):
         several.render(scenes.mixed(FRAME), settings)
     assert_same_film(several.render(scenes.mixed(FRAME), settings), expected)

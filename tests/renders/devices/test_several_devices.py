@@ -1,13 +1,11 @@
 """Devices of one model that share a render: the film of one of them, bit for bit."""
 
-import numpy as np
 import pytest
 import warp as wp
 
 from raybatch_addon.core import session as session_module
 from raybatch_addon.core.checkpoint.checkpoint import Checkpoint
 from raybatch_addon.core.errors import DeviceError
-from raybatch_addon.core.film import Film
 from raybatch_addon.core.native.structs import copied_to
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.session_device import SessionDevice
@@ -17,7 +15,7 @@ from raybatch_addon.core.wavefront.scene.device_scene import DeviceScene
 from raybatch_addon.core.wavefront.tile_state import TileState
 from tests.support import scenes, schedule_scenes
 from tests.support.under_test import DEVICE
-from tests.support.watched_renders import FRAME, SETTINGS, assert_same, stopping
+from tests.support.watched_renders import FRAME, SETTINGS, assert_same_film, stopping
 
 pytestmark = pytest.mark.usefixtures("general_kernels")
 
@@ -67,12 +65,17 @@ def settings_of(way: str):
     return SETTINGS.replace(**{"thread_count": 1, "sample_count": 12, **WAYS[way], **budget})
 
 
-def assert_same_film(film: Film, expected: Film) -> None:
-    assert film.complete
-    assert np.array_equal(film.counts, expected.counts)
-    assert_same(film.passes, expected.passes)
-    for mine, theirs in zip(film.halves or (), expected.halves or (), strict=True):
-        assert_same(mine.passes, theirs.passes)
+def failing(call, number, error):
+    """`call`, whose call of this `number` fails."""
+    calls = []
+
+    def called(*arguments, **options):
+        calls.append(1)
+        if len(calls) == number:
+            raise error
+        return call(*arguments, **options)
+
+    return called
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -123,28 +126,14 @@ def test_a_checkpoint_of_one_device_goes_on_with_several(session, several, tmp_p
 def test_what_fails_on_one_device_fails_the_render_and_leaves_the_session_well(session, several, monkeypatch):
     settings = settings_of("progressive")
     expected = session.render(scenes.mixed(FRAME), settings)
-    build, begun = DeviceScene.build, []
-
-    def failing(*arguments, **options):
-        begun.append(1)
-        if len(begun) == COUNT:
-            raise DeviceError("the last one has no room")
-        return build(*arguments, **options)
-
-    monkeypatch.setattr(DeviceScene, "build", failing)
+    lack = DeviceError("the last one has no room")
+    monkeypatch.setattr(DeviceScene, "build", failing(DeviceScene.build, COUNT, lack))
     with pytest.raises(DeviceError, match="the last one has no room"):
         several.render(scenes.mixed(FRAME), settings)
     assert_same_film(several.render(scenes.mixed(FRAME), settings), expected)
 
-    render, rendered = TileIntegrator.render, []
-
-    def stopped(self, *arguments, **options):
-        rendered.append(1)
-        if len(rendered) == 5:
-            raise DeviceError("one of them is gone")
-        return render(self, *arguments, **options)
-
-    monkeypatch.setattr(TileIntegrator, "render", stopped)
+    end = DeviceError("one of them is gone")
+    monkeypatch.setattr(TileIntegrator, "render", failing(TileIntegrator.render, 5, end))
     with pytest.raises(DeviceError, match="one of them is gone"):
         several.render(scenes.mixed(FRAME), settings)
     assert_same_film(several.render(scenes.mixed(FRAME), settings), expected)

@@ -3,6 +3,7 @@
 import gc
 import threading
 import time
+import weakref
 from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
@@ -310,10 +311,16 @@ def test_a_scene_is_built_once_for_all_and_budgets_hold():
     for place in range(2):
         for a, b in zip(paged_scenes.page_bytes(made[place]), paged_scenes.page_bytes(made[0]), strict=True):
             assert np.array_equal(a, b)
-    store = first.store.store
-    del first, second, made, scene
+    pages, contents = weakref.ref(first.store.store), paged_scenes.page_bytes(first)
+    del first, scene
+    made.pop(0)
     gc.collect()
-    assert store.byte_count > 0
+    for a, b in zip(paged_scenes.page_bytes(second), contents, strict=True):
+        assert np.array_equal(a, b), "one device has given them up"
+    assert pages() is not None
+    del second, made, residency
+    gc.collect()
+    assert pages() is None, "nobody has them any more"
 
 
 def test_a_budget_without_room_for_shares_says_so():
