@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import bpy
 
 from ..convergence import records
+from ..core.denoise.library import DenoiseLibrary
 from ..core.errors import RayBatchError
 from ..core.film import Film
 from ..core.measure.parts import PARTS, Parts
@@ -131,16 +132,33 @@ def _render_view(
     """The film of `view`, which the result shows; None where the render ended before there was one."""
     denoiser = library_for(settings)  # an error about it comes before the render
     layer_name = depsgraph.view_layer.name
+    read = None if view.name else frames_ahead.take(finals.job, layer_name, depsgraph.scene.frame_current)
+    if read is None:
+        status.show(PARTS["export"])
+        read = _read(depsgraph, settings, view, lambda: _is_stopped(engine))
+    if read is None:
+        return None
+    try:
+        return _render_read(engine, depsgraph, report, read, denoiser, status, view)
+    finally:
+        frames_ahead.cancel(read)  # where it failed before its film was asked for
+
+
+def _render_read(
+    engine: bpy.types.RenderEngine,
+    depsgraph: bpy.types.Depsgraph,
+    report: reports.RenderReport,
+    read: frames_ahead.ReadFrame,
+    denoiser: DenoiseLibrary | None,
+    status: RenderStatus,
+    view: View,
+) -> Film | None:
+    """The film of `read`, as `_render_view` returns it."""
+    layer_name = depsgraph.view_layer.name
 
     def is_stopped() -> bool:
         return _is_stopped(engine)
 
-    read = None if view.name else frames_ahead.take(finals.job, layer_name, depsgraph.scene.frame_current)
-    if read is None:
-        status.show(PARTS["export"])
-        read = _read(depsgraph, settings, view, is_stopped)
-    if read is None:
-        return None
     scene, settings, parts = read.scene, read.settings, read.parts
     report.export_seconds = read.export_seconds
     found = missing.keep_found(depsgraph.scene, layer_name, scene.warnings)

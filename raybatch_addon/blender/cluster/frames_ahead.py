@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 import bpy
 
-from ...core.errors import RayBatchError
 from ...core.film import Film
 from ...core.measure.parts import Parts
 from ...core.scene.description import Scene
@@ -40,20 +39,28 @@ class ReadFrame:
 
 # By job and view layer: the number of the frame, and that
 _ahead: dict[tuple[int, str], tuple[int, ReadFrame]] = {}
+_job = 0  # of which is known:
 _evaluating, _rendering = 0.0, float("inf")  # what a step to the next frame and back took, and a frame the workers [s]
 
 
 def take(job: int, layer: str, number: int) -> ReadFrame | None:
     """Frame `number` of a view layer in Blender's render `job`, if it was begun ahead."""
-    global _rendering
+    global _job, _evaluating, _rendering
     for key in [key for key in _ahead if key[0] != job]:
         _drop(key)
-        _rendering = float("inf")  # nothing is known of another animation
+    if job != _job:  # nothing is known of another animation
+        _job, _evaluating, _rendering = job, 0.0, float("inf")
     at, frame = _ahead.pop((job, layer), (number, None))
     if frame is not None and at != number:
-        _cancel(frame)
+        cancel(frame)
         return None
     return frame
+
+
+def cancel(frame: ReadFrame) -> None:
+    """Nobody wants its film, if it is not there yet."""
+    if frame.pending is not None:
+        frame.pending.cancel()
 
 
 def drop_all() -> None:
@@ -86,7 +93,7 @@ def begin_next(
         reading = time.perf_counter() - at
         if frame is not None:
             _ahead[job, layer] = following, frame
-    except RayBatchError:
+    except Exception:  # also where the cluster was lost
         pass
     finally:
         engine.frame_set(number, 0.0)
@@ -107,9 +114,4 @@ def note_film(film: Film) -> None:
 
 
 def _drop(key: tuple[int, str]) -> None:
-    _cancel(_ahead.pop(key)[1])
-
-
-def _cancel(frame: ReadFrame) -> None:
-    if frame.pending is not None:
-        frame.pending.cancel()
+    cancel(_ahead.pop(key)[1])

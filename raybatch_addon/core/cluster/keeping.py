@@ -29,7 +29,9 @@ class ClusterKeeper:
         self.shares: list[dict[str, Any]] = []  # who rendered which samples since
         self._device = ""  # whose bits they are
         self._due_at = time.monotonic() + interval
+        self._unwritten: KeptFilm | None = None  # as the file is to have it
         self._writing: threading.Thread | None = None
+        self._finishing = threading.Lock()
         self.warnings: list[str] = []
 
     def begin(self, scene: Scene, settings: RenderSettings, report: Callable[[str], None]) -> None:
@@ -64,32 +66,48 @@ class ClusterKeeper:
 
     def is_due(self) -> bool:
         """Whether it is time to bring films here."""
-        is_writing = self._writing is not None and self._writing.is_alive()
-        return self._path is not None and not is_writing and time.monotonic() >= self._due_at
+        return self._path is not None and not self._is_writing and time.monotonic() >= self._due_at
+
+    @property
+    def _is_writing(self) -> bool:
+        return self._writing is not None and self._writing.is_alive()
 
     def with_next(self, film: KeptFilm) -> KeptFilm:
         """What is here with the samples of `film`, which follow."""
         return film if self.film is None else joined(self.film, film)
 
     def keep(self, film: KeptFilm, shares: list[dict[str, Any]], rounds: ClusterRounds) -> None:
-        """`film` is what is here from now on; `shares` of what is new in it, `rounds` what was decided by it."""
+        """`film` is what is here from now on; `shares` of what is new in it, `rounds` what was decided by it. The file
+        has it at the end of the render, or where it is time, written meanwhile.
+        """
         self.film = film
         self.shares += shares
-        self._due_at = time.monotonic() + self._interval
-        if self._path is not None:
-            self.wait()
-            settings = film.identity.settings
-            if rounds.policy.error_target:  # by which a film that has all samples is told from others
-                settings = {**settings, "sample_count": rounds.policy.sample_count}
-            identity = dataclasses.replace(film.identity, settings=settings)
-            written = dataclasses.replace(film, identity=identity, progress=rounds.progress(film.progress))
-            self._writing = threading.Thread(target=self._write, args=(written,))
-            self._writing.start()
+        if self._path is None:
+            return
+        settings = film.identity.settings
+        if rounds.policy.error_target:  # by which a film that has all samples is told from others
+            settings = {**settings, "sample_count": rounds.policy.sample_count}
+        identity = dataclasses.replace(film.identity, settings=settings)
+        self._unwritten = dataclasses.replace(film, identity=identity, progress=rounds.progress(film.progress))
+        if rounds.is_over or time.monotonic() >= self._due_at:
+            self._begin_writing()
 
-    def wait(self) -> None:
-        """Until what is being written is there."""
-        if self._writing is not None:
-            self._writing.join()
+    def finish(self) -> None:
+        """Have all that is here in the file. Waits; any thread may, once nothing comes any more."""
+        with self._finishing:
+            self._begin_writing()
+            while self._writing is not None:
+                self._writing.join()
+                self._writing = None
+                self._begin_writing()
+
+    def _begin_writing(self) -> None:
+        """Unless another film is being written: then that which is not comes with the next one."""
+        if self._unwritten is not None and not self._is_writing:
+            film, self._unwritten = self._unwritten, None
+            self._due_at = time.monotonic() + self._interval
+            self._writing = threading.Thread(target=self._write, args=(film,))
+            self._writing.start()
 
     def _write(self, film: KeptFilm) -> None:
         assert self._path is not None  # or nobody writes

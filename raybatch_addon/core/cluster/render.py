@@ -92,6 +92,10 @@ class ClusterRender:
         self._picture: Any = None
         self._pictured_at = time.monotonic()
 
+    def begin_again(self) -> None:
+        """What is not here is to be rendered anew: the scheduler that knew of it is gone."""
+        self.begin(self._deal.sample_seconds)
+
     def close(self) -> None:
         """Nothing of it is wanted any more."""
         films = [each.future for each in (*self._films.values(), *self._unsafe)]
@@ -290,7 +294,7 @@ class ClusterRender:
             return
         if received.film is not None and self.wants_pictures:
             self._pictures.append(received.film.passes)
-        self.begin(self._deal.sample_seconds)
+        self.begin_again()
 
     # --- pictures
 

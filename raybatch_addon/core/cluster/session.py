@@ -5,8 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 
+import warp as wp
+
 from ..checkpoint.checkpoint import Checkpoint
-from ..device.devices import start_warp
+from ..device.devices import load_kernels, start_warp
 from ..errors import SettingsError
 from ..film import Film
 from ..measure.parts import Parts
@@ -14,6 +16,7 @@ from ..observers import Progress, RenderObserver, Tile, call_all
 from ..scene.description import Scene
 from ..scene.validate import checked_scene
 from ..settings.settings import RenderSettings
+from ..wavefront.adaptive.active_pixels import ADAPTIVE_KERNELS
 from ..wavefront.render.resume import check_samples
 from .connection import Connection
 from .keeping import ClusterKeeper
@@ -45,6 +48,12 @@ class PendingFilm:
         """Nobody wants it any more: its workers are free for others."""
         self._under_way.is_cancelled = self.is_taken = True
 
+    def end(self) -> None:
+        """Nobody waits for it any more, and its checkpoint has what is here. Waits for that."""
+        self.cancel()
+        self._under_way.ended.wait()
+        self._keeper.finish()
+
     def film(
         self,
         *,
@@ -72,7 +81,8 @@ class PendingFilm:
             if not own.ended.is_set():
                 self.cancel()
             own.ended.wait()
-            self._keeper.wait()
+            own.parts.enter("report")
+            self._keeper.finish()
         if own.error is not None:
             raise own.error
         kept = self._keeper.film
@@ -96,8 +106,12 @@ class ClusterSession:
         self._pending: list[PendingFilm] = []
 
     def close(self) -> None:
-        """End what is under way; machines keep their parts of scenes for later renders."""
+        """End what is under way, whose checkpoints have what is here; machines keep their parts of scenes for later
+        renders.
+        """
         self._under_way.close()
+        for each in self._pending:
+            each.end()
 
     @property
     def has_room(self) -> bool:
@@ -132,6 +146,8 @@ class ClusterSession:
         keeper = ClusterKeeper(sample_first, *((checkpoint.path, checkpoint.interval) if checkpoint else ()))
         keeper.begin(scene, settings, self._report)
         rounds = ClusterRounds(scene.frame, settings, sample_first, keeper.film)
+        if rounds.active:  # looks are made on threads, which must find their kernels loaded
+            load_kernels(ADAPTIVE_KERNELS, wp.get_device("cpu"), lambda done, count: None)
         parts.enter("start")
         render = ClusterRender(self._connection, parts_of(scene, settings), keeper, rounds)
         under_way = UnderWay(render, parts)

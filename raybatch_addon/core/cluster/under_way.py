@@ -70,13 +70,17 @@ class RendersUnderWay:
                 left, self._all, self._thread = self._all, [], None
             for each in left:
                 each.error = each.error or error
-                each.ended.set()
+                self._end(each)
             raise
 
     def _goes_on(self) -> bool:
         """One step of all renders; False where there are none."""
         with self._lock:
-            self._all = [each for each in self._all if not self._has_ended(each)]
+            over = [each for each in self._all if each.is_over]
+        for each in over:  # without the lock: it asks the scheduler
+            self._end(each)
+        with self._lock:
+            self._all = [each for each in self._all if each not in over]
             if not self._all:
                 self._thread = None
                 return False
@@ -84,13 +88,13 @@ class RendersUnderWay:
         self._step(now)
         return True
 
-    def _has_ended(self, each: UnderWay) -> bool:
-        if not each.is_over:
-            return False
-        each.parts.enter("report")
-        each.render.close()
-        each.ended.set()
-        return True
+    @staticmethod
+    def _end(each: UnderWay) -> None:
+        each.parts.enter("wait")  # until it is asked for
+        try:
+            each.render.close()
+        finally:
+            each.ended.set()
 
     def _step(self, renders: list[UnderWay]) -> None:
         for each in renders:
@@ -117,10 +121,10 @@ class RendersUnderWay:
 
     def _reconnect(self, renders: list[UnderWay]) -> None:
         try:
-            is_there = self._connection.reconnect(lambda: all(each.is_cancelled for each in renders))
+            is_there = self._connection.reconnect(lambda: any(each.is_cancelled for each in renders))
         except ClusterError as error:
             for each in renders:
                 each.error = each.error or error
             return
         for each in renders if is_there else []:
-            self._go_on(each, each.render.begin)
+            self._go_on(each, each.render.begin_again)

@@ -14,7 +14,7 @@ PARTS = {
     "start": "Starting the device",
     "check": "Checking the scene",
     "displacement": "Displacing surfaces",
-    "wait": "Waiting for what a cancelled render still builds",
+    "wait": "Waiting for another render",
     "checkpoint": "Reading or writing the checkpoint",
     "images": "Uploading images",
     "tree": "Building the tree",

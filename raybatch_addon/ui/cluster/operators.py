@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import bpy
@@ -47,6 +49,18 @@ class RAYBATCH_OT_render_on_cluster(bpy.types.Operator):
             raise CommandError("this file was never saved: save it, so that what it refers to is found from there")
         frames = _frames(scene) if self.animation else ()
         folder = running.new_folder()
+        try:
+            process = self._begun(scene, folder, command, where, frames)
+        except CommandError:
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
+        running.follow_job(running.ClusterJob(process, scene.name, folder, _ended))
+
+    @staticmethod
+    def _begun(
+        scene: bpy.types.Scene, folder: Path, command: Sequence[str], where: Sequence[str], frames: Sequence[int]
+    ) -> RenderProcess:
+        """The process of the command line; raises `CommandError`."""
         file = Path(bpy.data.filepath)
         if _is_changed():
             file = folder / _COPY
@@ -59,14 +73,13 @@ class RAYBATCH_OT_render_on_cluster(bpy.types.Operator):
         if frames and scene.render.is_movie_format:
             out = bpy.path.abspath(scene.render.frame_path())
         try:
-            process = RenderProcess(
+            return RenderProcess(
                 [*command, str(file), *which, "-o", out, *where], own_variables(), frames or (scene.frame_current,)
             )
         except OSError as error:
             raise CommandError(
                 f"{command[0]} cannot be run ({error.strerror or error}): choose another Python in {WHERE}"
             ) from error
-        running.follow_job(running.ClusterJob(process, scene.name, folder, _ended))
 
 
 class RAYBATCH_OT_stop_on_cluster(bpy.types.Operator):

@@ -135,6 +135,27 @@ def test_what_is_wrong_with_the_next_frame_is_said_when_it_is_its_turn(blend, al
     assert names(tmp_path / "many") == ["f0001.npz", "f0002.npz", "p0001.png", "p0002.png"]
 
 
+def test_a_frame_that_is_refused_at_its_turn_takes_no_worker(blend, alone, address, tmp_path, monkeypatch, steps):
+    """It was begun ahead, and what is refused is looked at when it is its turn."""
+    pending, begin, refuse = [], ClusterSession.begin, frame.missing.refuse_what_lacks
+
+    def kept_begin(self, *arguments, **options):
+        pending.append(begin(self, *arguments, **options))
+        return pending[-1]
+
+    def refusing(scene, found):
+        if scene.frame_current == 2:
+            raise frame.missing.Refused("it lacks a light")
+        refuse(scene, found)
+
+    monkeypatch.setattr(ClusterSession, "begin", kept_begin)
+    monkeypatch.setattr(frame.missing, "refuse_what_lacks", refusing)
+    done = rendered(tmp_path / "many", blend, "--frames", "1..4", "--cluster", address)
+    assert done.returncode != 0 and "it lacks a light" in done.stderr
+    assert len(pending) == 2 and pending[1].is_taken
+    assert_same_frames(tmp_path / "many", alone, range(1, 2))
+
+
 def test_a_stop_leaves_frames_that_are_finished_and_ends_what_was_begun(
     blend, alone, address, tmp_path, monkeypatch, steps
 ):

@@ -37,7 +37,7 @@ class KeptBakes:
         if known is None or not known[0].holds(arrays, where):
             known = Same(arrays, where), baked_mesh(mesh, transform)
         size = _bytes_of(known[1])
-        if self._bytes + size <= _BYTES_MOST:
+        if self._bytes + size <= _BYTES_MOST and known[0].holds(arrays, where):  # not what may be changed
             self._now[id(mesh.positions)] = known
             self._bytes += size
         return known[1]

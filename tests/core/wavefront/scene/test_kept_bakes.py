@@ -71,6 +71,7 @@ def test_arrays_that_may_change_are_looked_at(baked):
         baked.clear()
         assert_flattened(bakes, scene)
         assert "".join(baked) == expected
+        assert bakes._bytes == 2 * kept_bakes._bytes_of(bakes.get(scene.meshes[1], scene.instances.transform[1]))
         loose.positions[:] *= 1.5
 
 

@@ -18,8 +18,9 @@ from .store import BuiltPages
 
 # How often those who wait ask whether the render was cancelled [s]
 _POLL = 0.05
-# Pages of the last frame are waited for at most so long, until the last device gives them up [s]
-_PATIENCE = 5.0
+# Pages of the last frame are waited for at most so long, until the last device gives them up [s]: some are still at the
+# images of the frame, and one that failed holds its own until it renders again
+_PATIENCE = 30.0
 # Pages that were refused and are remembered: those of a few scenes
 _REFUSED_MOST = 16
 
