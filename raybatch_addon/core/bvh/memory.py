@@ -27,6 +27,9 @@ VERTICES_MAX = 2**31 - 1
 # [bytes]
 ROW = 12  # a triangle's indices, or a position
 NORMALS = 36  # of the corners of a triangle
+INSTANCE = 60  # its map, mesh, and a material
+ENTRY = 84  # of the top level: a mesh tree's place, with the inverse map, and its number in a leaf
+ENTRY_HOST = 192  # both maps, float64, while trees are built
 # Nodes and triangles, for each triangle: from above, so that a budget holds them; and with full groups and leaves
 TREE_BYTES_MOST = {Layout.BOXES: 90, Layout.QUANTISED: 64}
 TREE_BYTES = {Layout.BOXES: 45, Layout.QUANTISED: 55}
@@ -53,6 +56,8 @@ class GeometrySize:
     step_vertices: int = 0  # vertices of all these steps, which lie behind the others
     step_triangles: int = 0  # triangles likewise
     step_normals: int = 0  # triangles likewise, of those that have normals at each step
+    instances: int = 0
+    entries: int = 0  # instances with triangles, of meshes that are placed more than once
 
     @staticmethod
     def of(scene: Scene) -> GeometrySize:
@@ -81,6 +86,8 @@ class GeometrySize:
             step_vertices=sum(steps * _vertices_of(mesh) for mesh, steps in moving),
             step_triangles=sum(steps * len(mesh.triangles) for mesh, steps in moving),
             step_normals=sum(steps * len(mesh.triangles) for mesh, steps in moving if mesh.motion_normals is not None),
+            instances=len(instances),
+            entries=sum(count for _, count in filled if count > 1),
         )
 
     def step_bytes(self, layout: Layout) -> int:
@@ -92,16 +99,17 @@ class GeometrySize:
         return TREE_BYTES_MOST[layout] * self.triangles + (1 + NODES_OVER_TIME) * self.step_bytes(layout)
 
     def arrays(self) -> int:
-        """Geometry alone [bytes]."""
-        return ROW * (self.triangles + self.vertices) + NORMALS * self.smooth * self.triangles
+        """Geometry and instances, without trees [bytes]."""
+        meshes = ROW * (self.triangles + self.vertices) + NORMALS * self.smooth * self.triangles
+        return meshes + INSTANCE * self.instances
 
     def needed(self, layout: Layout, device: wp.Device) -> int:
         """Geometry and trees on `device`, the build included [bytes]."""
         build = BYTES_EACH if device.is_cuda else BUILD_BYTES_HOST
         # the CPU holds the geometry of the host and that of the device
-        return self.arrays() * (1 if device.is_cuda else 2) + max(
-            TREE_BYTES[layout] * self.triangles + self.step_bytes(layout), build * self.largest
-        )
+        entries = (ENTRY if device.is_cuda else ENTRY + ENTRY_HOST) * self.entries
+        trees = max(TREE_BYTES[layout] * self.triangles + self.step_bytes(layout), build * self.largest)
+        return self.arrays() * (1 if device.is_cuda else 2) + entries + trees
 
 
 def _vertices_of(mesh: Mesh) -> int:
@@ -152,10 +160,12 @@ def explained_memory_errors(size: GeometrySize, layout: Layout, device: wp.Devic
 
 
 def _out_of_memory(size: GeometrySize, needed: int, device: wp.Device, there: str) -> OutOfMemoryError:
+    what, cure = f"{size.triangles:,} triangles", "triangles, instances in place of copies,"
+    if size.instances > size.triangles:
+        what, cure = f"{size.instances:,} instances", "instances"
     return OutOfMemoryError(
-        f"the scene's {size.triangles:,} triangles need at least {_gigabytes(needed)} with their trees, and "
-        f"{device.alias} has {there}; use fewer "
-        "triangles, instances in place of copies, or a device with more memory"
+        f"the scene's {what} need at least {_gigabytes(needed)} with their trees, and {device.alias} has {there}; "
+        f"use fewer {cure} or a device with more memory"
     )
 
 

@@ -16,6 +16,8 @@ from .description import InstanceMaps, Scene
 KEY_FLOATS = 24
 # Parts of a step in which a rotation turns by at most so much [rad], where boxes are found; and the most parts of one
 _TURN, _PARTS_MOST = 0.1, 64
+# Maps whose least size is below this share of the largest one are measured by decomposition
+_FLAT = 0.1
 # Maps that a thread looks at together
 _MAPS_AT_ONCE = 1 << 16
 
@@ -136,9 +138,33 @@ def way_off(keys: np.ndarray, reach: np.ndarray, parts: int) -> np.ndarray:
     return 2 * second.max(1) * reach / (8 * parts**2)
 
 
+def _singular_values(matrices: np.ndarray) -> np.ndarray:
+    """Of matrices [n, 3, 3], float64, the largest first: those that are flat by decomposition, which takes four times
+    as long, others by the eigenvalues of A^T A (Smith 1961). Cosines near 1 leave 1e-8 of the largest eigenvalue in
+    doubt, so that those which are far smaller are not known.
+    """
+    a, b, c, d, e, f, g, h, i = np.ascontiguousarray(matrices.reshape(-1, 9).T)
+    xx, yy, zz = a * a + d * d + g * g, b * b + e * e + h * h, c * c + f * f + i * i
+    xy, xz, yz = a * b + d * e + g * h, a * c + d * f + g * i, b * c + e * f + h * i
+    mean = (xx + yy + zz) / 3
+    xx, yy, zz = xx - mean, yy - mean, zz - mean
+    reach = np.sqrt((xx * xx + yy * yy + zz * zz + 2 * (xy * xy + xz * xz + yz * yz)) / 6)
+    determinant = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        cosine = np.nan_to_num(determinant / (2 * reach**3))  # 0: all are the mean
+    angle = np.arccos(np.clip(cosine, -1, 1)) / 3
+    most = mean + 2 * reach * np.cos(angle)
+    least = mean + 2 * reach * np.cos(angle + 2 * np.pi / 3)
+    found = np.sqrt(np.maximum(np.stack([most, 3 * mean - most - least, least], 1), 0))
+    flat = np.flatnonzero(~(found[:, 2] > _FLAT * found[:, 0]))
+    found[flat] = np.linalg.svd(matrices[flat], compute_uv=False)
+    return found
+
+
 def map_sizes(maps: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of maps [..., 3, 4]: whether they are finite, their singular values, float64, the largest first, and whether they
-    have an inverse in float32: the smallest one is not lost in the rounding of the largest.
+    """Of maps [..., 3, 4]: whether they are finite, their singular values, float64, the largest first, within 1e-5 of
+    themselves, and whether they have an inverse in float32: the smallest one is not lost in the rounding of the
+    largest.
     """
     shape, flat = maps.shape[:-2], maps.reshape(-1, 3, 4)
     finite, sizes = np.empty(len(flat), bool), np.empty((len(flat), 3))
@@ -146,7 +172,7 @@ def map_sizes(maps: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     def measure(part: slice) -> None:
         finite[part] = np.isfinite(flat[part]).all((1, 2))
         linear = np.where(finite[part, None, None], flat[part, :, :3], 0).astype(np.float64)
-        sizes[part] = np.linalg.svd(linear, compute_uv=False)
+        sizes[part] = _singular_values(linear)
 
     in_slices(len(flat), measure, _MAPS_AT_ONCE)
     regular = sizes[:, 2] > sizes[:, 0] * np.finfo(np.float32).eps

@@ -10,7 +10,7 @@ from raybatch_addon.core.bvh import memory
 from raybatch_addon.core.bvh.build.cpu import build as build_sah
 from raybatch_addon.core.bvh.build.cuda import build as build_cuda
 from raybatch_addon.core.bvh.build.scene_tree import build_scene_tree
-from raybatch_addon.core.bvh.memory import GeometrySize, check_counts
+from raybatch_addon.core.bvh.memory import GeometrySize, check_counts, check_memory
 from raybatch_addon.core.bvh.node import Layout
 from raybatch_addon.core.bvh.traverse.options import TraceOptions
 from raybatch_addon.core.errors import OutOfMemoryError, SceneError
@@ -217,7 +217,7 @@ def test_more_than_is_free_is_refused_before_anything_is_uploaded(session, monke
 
 def test_more_than_indices_name():
     size = GeometrySize.of(lit(huge_mesh(2**29), huge_mesh(2**29), scenes.plane()))
-    assert size == GeometrySize(2**30 + 2, 12, 2**30 + 2, False)
+    assert size == GeometrySize(2**30 + 2, 12, 2**30 + 2, False, instances=3)
     with pytest.raises(
         SceneError, match="1,073,741,826 triangles, and a scene holds 715,827,882; use fewer, or instances"
     ):
@@ -249,9 +249,23 @@ def test_sizes_count_shared_meshes_once():
     scene.instances.visibility[3] = 1
     count = len(shared.triangles)
     assert GeometrySize.of(scene) == GeometrySize(
-        count + 14, len(shared.positions) + len(single.positions) + 4, count, False
+        count + 14, len(shared.positions) + len(single.positions) + 4, count, False, instances=4, entries=2
     )
     assert GeometrySize.of(scenes.scene()).triangles == 0
+
+
+def test_instances_need_memory(device, monkeypatch):
+    """Ten million of a box, which itself needs none to speak of."""
+    box, count = scenes.box(), 10_000_000
+    size = GeometrySize.of(scenes.scene([(box, scenes.IDENTITY, scenes.diffuse())] * 2))
+    size = dataclasses.replace(size, instances=count, entries=count)
+    monkeypatch.setattr(memory, "free_memory", lambda _: 10**9)
+    with pytest.raises(
+        OutOfMemoryError, match=r"10,000,000 instances need at least .* has 1\.00 GB free; use fewer in"
+    ):
+        check_memory(size, Layout.BOXES, wp.get_device(device), all_of_it=False)
+    monkeypatch.setattr(memory, "free_memory", lambda _: 10**10)
+    check_memory(size, Layout.BOXES, wp.get_device(device), all_of_it=False)
 
 
 @pytest.mark.parametrize("where", ["geometry", "builder", "trees"])

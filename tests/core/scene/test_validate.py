@@ -8,7 +8,7 @@ import pytest
 from raybatch_addon.core.errors import SceneError
 from raybatch_addon.core.film import PASSES
 from raybatch_addon.core.scene.description import Frame, InstanceMaps, SkySun, World
-from raybatch_addon.core.scene.motion import instance_maps, moving_instances
+from raybatch_addon.core.scene.motion import instance_maps, map_sizes, moving_instances
 from raybatch_addon.core.scene.validate import PASS_NAMES, checked_scene
 from tests.support import scenes
 
@@ -157,3 +157,25 @@ def test_what_moves_alone_has_keys():
     maps = instance_maps(np.repeat(still.instances.transform[:, None].astype(np.float32), 3, 1))
     still = dataclasses.replace(still, instances=dataclasses.replace(still.instances, motion=maps))
     assert flatten(still).motion is None
+
+
+@pytest.mark.parametrize("flatness", [1.0, 0.5, 0.11, 0.09, 1e-3, 1e-6, 1e-12, 0.0])
+def test_sizes_of_maps_are_singular_values(flatness):
+    """Of maps that turn, scale and flatten, in all orders of size, with equal sizes among them."""
+    rng = np.random.default_rng(7)
+    turns, back = (np.linalg.qr(rng.normal(size=(500, 3, 3)))[0] for _ in range(2))
+    sizes = np.ones((500, 3))
+    sizes[:, 2] = flatness
+    sizes[:200, 1] = rng.uniform(flatness, 1, 200)
+    sizes[200:350, 1] = flatness
+    sizes *= 10.0 ** rng.uniform(-18, 18, (500, 1))
+    maps = np.concatenate([(turns * sizes[:, None]) @ back, rng.normal(size=(500, 3, 1))], 2)
+    finite, found, regular = map_sizes(maps)
+    assert finite.all() and (regular == (flatness > np.finfo(np.float32).eps)).all()
+    expected = np.sort(sizes, 1)[:, ::-1]
+    assert np.allclose(found[:, 0], expected[:, 0], rtol=1e-5, atol=0)
+    atol = 0 if flatness > 1e-10 else 1e-10  # what decomposition itself leaves
+    assert np.allclose(found / found[:, :1], expected / expected[:, :1], rtol=1e-5, atol=atol)
+    maps[3, 1, 1], maps[4, :, :3] = np.inf, 0
+    finite, found, regular = map_sizes(maps[:5].astype(np.float32))
+    assert finite.tolist() == [True, True, True, False, True] and not regular[4] and not found[4].any()
