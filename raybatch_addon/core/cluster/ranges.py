@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 # What a task takes, about: so long that its film and its tree cost little beside, so short that progress is seen [s]
 TASK_SECONDS = 10.0
+# ... and so many times what its film takes beside it
+TASK_TIMES_FILM = 8.0
+# All bands get some samples before any gets more, which takes about so long: what there is then can be kept [s]
+LAYER_SECONDS = 30.0
 # The last ones are not shorter than this, where they have more than one sample [s]
 LEAST_SECONDS = 0.5
 # Of its part of all samples that are left, a task has at most this share: the last ones are short
@@ -19,45 +23,55 @@ STRAGGLER_SECONDS = 2.0
 
 @dataclass(frozen=True, order=True)
 class SampleRange:
-    """Samples `first` to `end` - 1 of every pixel."""
+    """Samples `first` to `end` - 1 of every pixel of a band."""
 
     first: int
     end: int
+    band: int = 0
 
     @property
     def count(self) -> int:
         """How many there are."""
         return self.end - self.first
 
+    @property
+    def bounds(self) -> tuple[int, int]:
+        """`first` and `end`."""
+        return self.first, self.end
 
-@dataclass
+
 class RangeDeal:
-    """Deals the samples `first` to `end` - 1 in order, in ranges whose sizes follow what samples took so far."""
+    """Deals the samples `first` to `end` - 1 of all bands, in ranges whose sizes follow what samples took so far: in
+    layers of samples, which follow one another in every band. As long as none was rendered, one of a band should take
+    `like` [s].
+    """
 
-    first: int
-    end: int
-    task_seconds: float = TASK_SECONDS
-    like: float | None = None  # what a sample should take, as long as none was rendered [s]
-    _next: int = field(init=False)
-    _seconds: float = 0.0  # of samples that were rendered
-    _samples: int = 0
-
-    def __post_init__(self) -> None:
-        self._next = self.first
+    def __init__(self, first: int, end: int, bands: int = 1, like: float | None = None):
+        self.first, self.end, self.bands, self.like = first, end, bands, like
+        # the samples that are being dealt, to which band, and from which of them on
+        self._layer, self._band, self._next = (first, first), bands, first
+        self._seconds, self._samples = 0.0, 0  # of samples that were rendered
+        self._beside = 0.0  # what a task takes beside them, at least [s]
 
     @property
-    def dealt(self) -> int:
-        """The end of the samples that were dealt."""
-        return self._next
+    def dealt(self) -> float:
+        """The end of the samples that were dealt, where all pixels had the same."""
+        return self.end - self._left / self.bands
 
     @property
     def is_dealt(self) -> bool:
         """Whether no samples are left to deal."""
-        return self._next >= self.end
+        return not self._left
+
+    @property
+    def _left(self) -> int:
+        """Samples of a band each that are left to deal."""
+        (first, end), bands = self._layer, self.bands
+        return (self.end - end) * bands + (end - first) * (bands - self._band) - (self._next - first)
 
     @property
     def sample_seconds(self) -> float | None:
-        """What a sample of every pixel takes a worker in the mean [s]; None as long as none was rendered."""
+        """What a sample of a band takes a worker in the mean [s]; None as long as none was rendered."""
         return self._seconds / self._samples if self._samples else None
 
     @property
@@ -65,8 +79,11 @@ class RangeDeal:
         """The same, or what it should be."""
         return self.sample_seconds or self.like
 
-    def note(self, samples: SampleRange, seconds: float) -> None:
-        """To render `samples` took a worker so long [s], with a film and a scene that were there."""
+    def note(self, samples: SampleRange, seconds: float, beside: float) -> None:
+        """To render `samples` took a worker so long [s], with a film and a scene that were there, and `beside` went to
+        the film and the scene.
+        """
+        self._beside = min(self._beside, beside) if self._samples else beside  # a first one builds trees
         self._seconds, self._samples = self._seconds + seconds, self._samples + samples.count
 
     def next(self, workers: int) -> SampleRange | None:
@@ -74,25 +91,42 @@ class RangeDeal:
 
         As long as nobody knows what a sample takes, a task has one sample, or the workers' part of a hundredth.
         """
-        left = self.end - self._next
+        left, workers = self._left, max(workers, 1)
         if left <= 0:
             return None
-        most, a_sample = math.ceil(left / max(workers, 1) * TASK_LEFT_SHARE), self._sample_seconds
+        if self._band == self.bands:
+            self._begin_layer(workers)
+        most, a_sample = math.ceil(left / workers * TASK_LEFT_SHARE), self._sample_seconds
         if a_sample is None:
-            wanted = (self.end - self.first) / (100 * max(workers, 1))
+            wanted = (self.end - self.first) * self.bands / (100 * workers)
         else:
-            wanted = self.task_seconds / a_sample
-            most = max(most, math.floor(LEAST_SECONDS / a_sample))
-        count = max(1, min(most, left, math.floor(wanted)))
-        dealt = SampleRange(self._next, self._next + count)
+            wanted = self._task_seconds / a_sample
+            most = max(most, math.floor(max(LEAST_SECONDS, self._beside) / a_sample))
+        count = max(1, min(most, self._layer[1] - self._next, math.floor(wanted)))
+        dealt = SampleRange(self._next, self._next + count, self._band)
         self._next = dealt.end
+        if self._next == self._layer[1]:
+            self._band, self._next = self._band + 1, self._layer[0]
         return dealt
+
+    @property
+    def _task_seconds(self) -> float:
+        return max(TASK_SECONDS, TASK_TIMES_FILM * self._beside)
+
+    def _begin_layer(self, workers: int) -> None:
+        """The next samples for each band. The first layer of several bands tells what a sample takes."""
+        first, a_sample = self._layer[1], self._sample_seconds
+        left = count = self.end - first
+        if self.bands > 1:
+            count = 1 if a_sample is None else math.floor(LAYER_SECONDS * workers / (a_sample * self.bands))
+            count = left if 2 * left < 3 * count else max(count, 1)
+        self._layer, self._band, self._next = (first, first + count), 0, first
 
     def cut(self, samples: SampleRange) -> list[SampleRange]:
         """`samples` in ranges of a task each, to render them again."""
         a_sample = self._sample_seconds
-        count = samples.count if a_sample is None else max(1, math.floor(self.task_seconds / a_sample))
-        return [SampleRange(i, min(i + count, samples.end)) for i in range(samples.first, samples.end, count)]
+        count = samples.count if a_sample is None else max(1, math.floor(self._task_seconds / a_sample))
+        return [replace(samples, first=i, end=min(i + count, samples.end)) for i in range(*samples.bounds, count)]
 
     def is_late(self, samples: SampleRange, seconds: float) -> bool:
         """Whether a task with `samples` that was begun `seconds` ago should be rendered elsewhere too."""
@@ -103,12 +137,13 @@ class RangeDeal:
 
 
 class MergeTree:
-    """Ranges whose films are there, and which of them are merged next: neighbours of about equally many tasks, so that
-    no film is merged more often than the logarithm of their number says.
+    """Ranges whose films are there, and which of them are merged next: neighbours in a band of about equally many
+    tasks, so that no film is merged more often than the logarithm of their number says.
     """
 
     def __init__(self) -> None:
         self._ranks: dict[SampleRange, int] = {}  # of those that wait: how often they were merged
+        self.border: int | None = None  # films before this sample are merged to one, and with none behind it
 
     def add(self, samples: SampleRange, rank: int = 0) -> None:
         """The film of `samples` is there, merged `rank` times."""
@@ -118,9 +153,11 @@ class MergeTree:
         """Two neighbours to merge now, and the rank of what comes of them; None where none should be. With `flush` any
         neighbours are, since no more will come.
         """
-        ranks, ends = self._ranks, {each.end: each for each in self._ranks}
-        pairs = [(earlier, later) for later in sorted(ranks) if (earlier := ends.get(later.first)) is not None]
-        pairs = [(a, b) for a, b in pairs if flush or ranks[a] == ranks[b]]
+        ranks, ends, border = self._ranks, {(each.band, each.end): each for each in self._ranks}, self.border
+        pairs = [(earlier, later) for later in sorted(ranks) if (earlier := ends.get((later.band, later.first)))]
+        if border is not None:
+            pairs = [(a, b) for a, b in pairs if not a.first < border < b.end]
+        pairs = [(a, b) for a, b in pairs if flush or ranks[a] == ranks[b] or (border is not None and b.end <= border)]
         if not pairs:
             return None
         earlier, later = min(pairs, key=lambda pair: max(ranks[pair[0]], ranks[pair[1]]))

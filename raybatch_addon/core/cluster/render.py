@@ -10,6 +10,7 @@ from typing import Any
 from ..checkpoint.file import KeptFilm
 from ..film import Film
 from . import films
+from .bands import Region, bands_of, film_of_bands
 from .connection import ClusterError, Connection, Worker, told, why_lost
 from .keeping import ClusterKeeper
 from .parts import SceneParts, part_digest
@@ -49,12 +50,20 @@ class _Film:
 
 @dataclass(frozen=True)
 class _Received:
-    """The samples of a film that came, beside those that were here."""
+    """The samples of films that came, beside those that were here."""
 
     kept: KeptFilm
-    shares: list[dict[str, Any]]  # of the film that came
+    shares: list[dict[str, Any]]  # of the films that came
     rounds: ClusterRounds
     film: Film | None  # of all, where it was looked at
+
+
+class _FilmLost(Exception):
+    """A film that did not come, and has to be rendered again."""
+
+    def __init__(self, film: _Film, why: str):
+        super().__init__(why)
+        self.film = film
 
 
 class ClusterRender:
@@ -66,7 +75,9 @@ class ClusterRender:
         self._first = keeper.first
         self._helpers = ThreadPoolExecutor(max_workers=4, thread_name_prefix="RayBatch cluster")
         self._failures: dict[SampleRange, int] = {}
-        self._pictures: list[dict[str, Any]] = []
+        self._region: Region = rounds.region
+        self._bands = bands_of(self._region)
+        self._pictures: list[tuple[Region, dict[str, Any]]] = []
         self.wants_pictures = False  # somebody looks at them
         self.workers: list[Worker] = []
         self.tasks_again = 0  # tasks that were rendered again, or by two
@@ -82,14 +93,15 @@ class ClusterRender:
             self._stopped = part_digest(stopped)
             self._parts = replace(self._scene, arrays={**self._scene.arrays, self._stopped: stopped})
         self._staging = Staging(self._connection, self._parts)
-        self._deal = RangeDeal(self._keeper.end, self.rounds.end, like=like)
+        self._deal = RangeDeal(self._keeper.end, self.rounds.end, len(self._bands), like)
         self._again: list[SampleRange] = []
         self._tasks: list[_Task] = []
         self._unsafe: list[_Film] = []
         self._films: dict[SampleRange, _Film] = {}  # those that are safe, and wait to be merged
         self._tree = MergeTree()
-        self._fetched: tuple[_Film, Future] | None = None
-        self._picture: Any = None
+        self._fetched: tuple[list[_Film], Future] | None = None  # of all bands, with the same samples
+        self._picture: tuple[SampleRange, Any] | None = None  # of a band, that is being made
+        self._pictured = dict.fromkeys(range(len(self._bands)), 0)  # samples of the last one of each
         self._pictured_at = time.monotonic()
 
     def begin_again(self) -> None:
@@ -117,12 +129,12 @@ class ClusterRender:
     @property
     def samples_done(self) -> float:
         """Samples of every pixel that are rendered, with what those under way should have come to."""
-        done = self._deal.dealt - self._first - sum(each.count for each in self._again)
+        left = float(sum(each.count for each in self._again))  # of a band each
         now, a_sample = time.monotonic(), self._deal.sample_seconds
         for task in self._tasks:
             share = 0.0 if a_sample is None else (now - task.begun) / (a_sample * task.samples.count)
-            done -= task.samples.count * (1.0 - min(share, 0.95))
-        return done
+            left += task.samples.count * (1.0 - min(share, 0.95))
+        return self._deal.dealt - self._first - left / len(self._bands)
 
     @property
     def tasks_running(self) -> int:
@@ -160,7 +172,8 @@ class ClusterRender:
                 running += 1
 
     def _asked(self, samples: SampleRange, hosts: frozenset[str]) -> Any:
-        what = self._parts.recipe, self._parts.digest, samples.first, samples.count, self._stopped
+        band = self._bands[samples.band]
+        what = self._parts.recipe, self._parts.digest, band, samples.first, samples.count, self._stopped
         return self._connection.submit("render", *what, workers=hosts, slot=True)
 
     # --- what came
@@ -173,16 +186,16 @@ class ClusterRender:
             if not task.hosts & hosts:
                 self._tasks.remove(task)
                 self._render_again(task.samples, task.futures)
-        fetched = [self._fetched[0]] if self._fetched else []
+        fetched = self._fetched[0] if self._fetched else []
         for film in [*self._unsafe, *self._films.values(), *fetched]:
             if not film.future.done() and not all(each & hosts for each in film.hosts):
                 if film in self._unsafe:
                     self._unsafe.remove(film)
                 elif film in fetched:
-                    self._fetched = None
+                    self._put_back()
+                    self._take(film.samples)
                 else:
-                    del self._films[film.samples]
-                    self._tree.remove(film.samples)
+                    self._take(film.samples)
                 self._render_again(film.samples, [film.future])
 
     def _render_again(self, samples: SampleRange, futures: list[Any]) -> None:
@@ -211,7 +224,7 @@ class ClusterRender:
         self._keeper.check(share)
         self._tasks.remove(task)
         self._connection.cancel([each for each in task.futures if each is not task.done])
-        self._deal.note(task.samples, share["seconds_rendering"])
+        self._deal.note(task.samples, share["seconds_rendering"], share["seconds"] - share["seconds_rendering"])
         self.rays += share["rays"]["total"]
         self._unsafe.append(_Film(task.samples, 0, task.done, (task.hosts,)))
 
@@ -231,6 +244,16 @@ class ClusterRender:
         if self._failures[samples] >= _TRIES:
             raise ClusterError(f"samples {samples.first} to {samples.end - 1} could not be rendered: {why}")
 
+    def _add(self, film: _Film) -> None:
+        """It waits to be merged, or to be brought here."""
+        self._films[film.samples] = film
+        self._tree.add(film.samples, film.rank)
+
+    def _take(self, samples: SampleRange) -> _Film:
+        """The film of `samples`, which does not wait any more."""
+        self._tree.remove(samples)
+        return self._films.pop(samples)
+
     def _see_films(self) -> None:
         """Films that two workers have may be merged, and their own parts go."""
         for film in [*self._unsafe]:
@@ -241,8 +264,7 @@ class ClusterRender:
             elif film.secured is not None and film.secured.done():
                 self._unsafe.remove(film)
                 film.merged_of = ()
-                self._films[film.samples] = film
-                self._tree.add(film.samples, film.rank)
+                self._add(film)
 
     def _merge(self) -> None:
         while (pair := self._tree.take_pair(self._is_dealt and not self._tasks and not self._unsafe)) is not None:
@@ -250,37 +272,58 @@ class ClusterRender:
             parts = self._films.pop(earlier), self._films.pop(later)
             future = self._connection.submit("merge", *(each.future for each in parts), priority=60)
             hosts = parts[0].hosts + parts[1].hosts
-            self._unsafe.append(_Film(SampleRange(earlier.first, later.end), rank, future, hosts, parts))
+            self._unsafe.append(_Film(replace(earlier, end=later.end), rank, future, hosts, parts))
 
     @property
     def _is_dealt(self) -> bool:
         return self._deal.is_dealt and not self._again
 
     def _fetch(self) -> None:
-        """Bring the film of the next samples here, at the end of a round or where it is time to keep it."""
+        """Bring the films of the next samples here, at the end of a round or where it is time to keep them."""
         if self._fetched is None:
-            first = next((each for each in self._films if each.first == self._keeper.end), None)
             is_last = self._is_dealt and not self._tasks and not self._unsafe
-            if first is not None and (is_last or self._keeper.is_due()):
-                self._tree.remove(first)
-                film = self._films.pop(first)
-                self._fetched = film, self._helpers.submit(self._received, film.future)
+            following = [each for each in self._films if each.first == self._keeper.end]
+            if len(following) < len(self._bands) or not (is_last or self._keeper.is_due()):
+                return
+            if len({each.end for each in following}) > 1:  # some have to be merged up to there
+                self._tree.border = max(each.end for each in following)
+                return
+            self._tree.border = None
+            taken = [self._take(each) for each in sorted(following, key=lambda each: each.band)]
+            self._fetched = taken, self._helpers.submit(self._received, taken)
         elif self._fetched[1].done():
-            film, received = self._fetched
-            samples, self._fetched = film.samples, None
+            received = self._fetched[1]
             try:
                 self._keep(received.result())
-            except films.DamagedFilm as error:
-                self._count_failure(samples, str(error))
-                self._render_again(samples, [film.future])
-            except (OSError, CancelledError):  # its workers or the scheduler went meanwhile
-                if not self._connection.is_lost:
-                    self._render_again(samples, [film.future])
+            except _FilmLost as error:
+                if self._connection.is_lost:
+                    return
+                self._put_back()
+                film = self._take(error.film.samples)
+                if isinstance(error.__cause__, films.DamagedFilm):
+                    self._count_failure(film.samples, str(error))
+                self._render_again(film.samples, [film.future])
 
-    def _received(self, future: Any) -> _Received:
-        """On a thread that may wait: the film of `future`, and what follows from it at the end of a round."""
-        film, shares = films.received_film(_sound(future.result()))
-        kept = self._keeper.with_next(film)
+    def _put_back(self) -> None:
+        """What was to come here waits again."""
+        if self._fetched is not None:
+            for film in self._fetched[0]:
+                self._add(film)
+        self._fetched = None
+
+    def _received(self, taken: list[_Film]) -> _Received:
+        """On a thread that may wait: the films of all bands, and what follows from them at the end of a round. Raises
+        `_FilmLost`.
+        """
+        parts, shares = [], []
+        for each in taken:
+            try:
+                film, its = films.received_film(_sound(each.future.result()))
+            except (films.DamagedFilm, OSError, CancelledError) as error:  # or its workers or the scheduler went
+                raise _FilmLost(each, str(error)) from error
+            parts.append(film)
+            shares += its
+        kept = self._keeper.with_next(film_of_bands(parts, self._region))
         rounds, looked_at = self.rounds, None
         if self._first + kept.progress.done >= rounds.end:
             rounds, looked_at = rounds.after(kept)
@@ -288,12 +331,13 @@ class ClusterRender:
 
     def _keep(self, received: _Received) -> None:
         """Go on with the next round, where that was the last of this one."""
+        self._fetched = None
         is_next, self.rounds = received.rounds is not self.rounds, received.rounds
         self._keeper.keep(received.kept, received.shares, self.rounds)
         if not is_next or self.rounds.is_over:
             return
         if received.film is not None and self.wants_pictures:
-            self._pictures.append(received.film.passes)
+            self._pictures.append((self._region, received.film.passes))
         self.begin_again()
 
     # --- pictures
@@ -302,20 +346,28 @@ class ClusterRender:
         if self._picture is None:
             # of later rounds, all that was before is here
             is_wanted = self.wants_pictures and not self.rounds.number and self._films
-            if is_wanted and time.monotonic() - self._pictured_at >= PICTURE_SECONDS:
-                largest = max(self._films, key=lambda each: each.count)
-                self._picture = self._connection.submit("picture", self._films[largest].future, priority=40)
-        elif self._picture.done():
-            if self._picture.status == "finished":
-                future = self._picture
-                self._helpers.submit(lambda: self._pictures.append(future.result()))
-            self._picture, self._pictured_at = None, time.monotonic()
+            if is_wanted and time.monotonic() - self._pictured_at >= PICTURE_SECONDS / len(self._bands):
+                gained = {each: each.count / max(self._pictured[each.band], 0.5) for each in self._films}
+                best = max(gained, key=lambda each: gained[each])
+                if gained[best] > 1.0:
+                    self._picture = best, self._connection.submit("picture", self._films[best].future, priority=40)
+        elif self._picture[1].done():
+            (samples, future), self._picture = self._picture, None
+            if future.status == "finished":
+                self._pictured[samples.band] = samples.count
+                self._helpers.submit(self._receive_picture, self._bands[samples.band], future)
+            self._pictured_at = time.monotonic()
 
-    def take_pictures(self) -> list[dict[str, Any]]:
-        """Passes by name of the whole frame that came since the last call, each better than those before, or so."""
+    def _receive_picture(self, band: Region, future: Any) -> None:
+        passes = future.result()
+        if "error" not in passes:
+            # where arrays lie in what was received is any byte's place, which not all who show them can read
+            self._pictures.append((band, {name: values.copy() for name, values in passes.items()}))
+
+    def take_pictures(self) -> list[tuple[Region, dict[str, Any]]]:
+        """Parts of the frame that came since the last call, and their passes by name, each better than that before."""
         taken, self._pictures = self._pictures, []
-        # where arrays lie in what was received is any byte's place, which not all who show them can read
-        return [{name: values.copy() for name, values in each.items()} for each in taken if "error" not in each]
+        return taken
 
 
 def _sound(sent: dict[str, Any]) -> dict[str, Any]:

@@ -31,6 +31,8 @@ class ClusterRounds:
         themselves.
         """
         self._first, self.policy = sample_first, RoundPolicy.of(settings, (), sample_first)
+        x0, y0, x1, y1 = map(int, frame.region)
+        self.region = (x0, y0, x1, y1)  # [pixels]
         self.active = first_active(frame, settings, sample_first, None, wp.get_device("cpu"))
         self.error: HalfError | None = None  # when it was looked at last
         self.error_samples = 0  # of every pixel, then

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 
+import numpy as np
 import warp as wp
 
 from ..checkpoint.checkpoint import Checkpoint
@@ -18,6 +19,7 @@ from ..scene.validate import checked_scene
 from ..settings.settings import RenderSettings
 from ..wavefront.adaptive.active_pixels import ADAPTIVE_KERNELS
 from ..wavefront.render.resume import check_samples
+from .bands import Region
 from .connection import Connection
 from .keeping import ClusterKeeper
 from .parts import parts_of
@@ -65,15 +67,14 @@ class PendingFilm:
         """Wait for it, before other renders of the session; raises what ended it. Arguments are as in `render`."""
         show = call_all(on_progress, [each.on_progress for each in observers])
         show_tile = call_all(on_tile, [each.on_tile for each in observers])
-        x0, y0, x1, y1 = self._scene.frame.region
         own, render, settings = self._under_way, self._under_way.render, self._settings
         own.is_awaited = render.wants_pictures = True
         try:
             while not own.ended.is_set():
                 if cancelled is not None and cancelled():
                     self.cancel()
-                for passes in render.take_pictures():
-                    show_tile(Tile(x0, y0, x1 - x0, y1 - y0, passes))
+                for region, passes in render.take_pictures():
+                    show_tile(_tile(region, passes))
                 show(_progress(render, settings, own.parts, time.perf_counter() - own.begun))
                 own.ended.wait(_POLL_SECONDS)
         finally:
@@ -92,7 +93,7 @@ class PendingFilm:
         film.statistics["warnings"] = [*dict.fromkeys([*self.warnings, *film.statistics["warnings"]])]
         if film.complete:
             show(_progress(render, settings, own.parts, time.perf_counter() - own.begun))
-            show_tile(Tile(x0, y0, x1 - x0, y1 - y0, film.passes))
+            show_tile(_tile(render.rounds.region, film.passes))
         return film
 
 
@@ -172,7 +173,7 @@ class ClusterSession:
         parts: Parts | None = None,
         checkpoint: Checkpoint | None = None,
     ) -> Film:
-        """As `Session.render`; pictures come as one tile that is the whole frame, every few seconds.
+        """As `Session.render`; every few seconds pictures come as tiles, bands of the frame, and at the end as one.
 
         Raises what `begin` does.
         """
@@ -180,6 +181,11 @@ class ClusterSession:
             raise SettingsError("films in memory are not gone on with on a cluster; give a checkpoint")
         pending = self.begin(scene, settings, sample_first=sample_first, parts=parts, checkpoint=checkpoint)
         return pending.film(on_tile=on_tile, on_progress=on_progress, cancelled=cancelled, observers=observers)
+
+
+def _tile(region: Region, passes: dict[str, np.ndarray]) -> Tile:
+    x0, y0, x1, y1 = region
+    return Tile(x0, y0, x1 - x0, y1 - y0, passes)
 
 
 def _progress(render: ClusterRender, settings: RenderSettings, parts: Parts, seconds: float) -> Progress:

@@ -19,7 +19,7 @@ def cluster_statistics(
     film: Film, scene: Scene, settings: RenderSettings, keeper: ClusterKeeper, under_way: UnderWay
 ) -> dict[str, Any]:
     """The report: what is known of renders on a cluster, and who rendered which samples (docs/statistics.md)."""
-    shares = sorted(keeper.shares, key=lambda each: each["first"])
+    shares = sorted(keeper.shares, key=lambda each: (each["first"], each["region"]))
     rays = {kind: sum(each["rays"][kind] for each in shares) for kind in ("camera", "bounce", "shadow", "total")}
     render, seconds = under_way.render, under_way.parts.record()
     rounds = render.rounds
@@ -53,7 +53,7 @@ def cluster_statistics(
         "missing": [described(notice) for notice in by_weight(scene.warnings)],
         "cluster": {
             "shares": [
-                {name: each[name] for name in ("first", "end", "worker", "seconds", "seconds_rendering")}
+                {name: each[name] for name in ("first", "end", "region", "worker", "seconds", "seconds_rendering")}
                 | {"device": each["device"]["name"]}
                 for each in shares
             ],

@@ -9,6 +9,8 @@ import os
 import socket
 import threading
 import time
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,7 @@ from ..session import Session
 from ..settings.settings import RenderSettings
 from ..wavefront.adaptive.active_pixels import ActivePixels
 from . import films
+from .bands import active_in_band, scene_of_band
 from .parts import scene_of
 from .store import PartStore
 
@@ -54,28 +57,32 @@ def put(arrays: dict[str, np.ndarray]) -> int:
     return len(arrays)
 
 
-def render(recipe: str, digest: str, first: int, count: int, stopped: str = "") -> films.Sent:
-    """The film of `count` samples from `first` on, of the scene of `recipe`. `stopped` is the digest of the pixels that
-    have ended their sampling, as `ActivePixels` has them; empty: none. Raises `PartMissing` where parts of the scene
-    are not here.
+def render(recipe: str, digest: str, band: Sequence[int], first: int, count: int, stopped: str = "") -> films.Sent:
+    """The film of `count` samples from `first` on in a band (x0, y0, x1, y1) of the frame, of the scene of `recipe`.
+    `stopped` is the digest of the pixels that have ended their sampling, as `ActivePixels` has them; empty: none.
+    Raises `PartMissing` where parts of the scene are not here.
     """
     with _lock:
         started = time.perf_counter()
-        scene, settings = _scene(recipe, digest)
+        whole, settings = _scene(recipe, digest)
+        x0, y0, x1, y1 = band
+        scene = scene_of_band(whole, (x0, y0, x1, y1))
         session = _opened()
         settings = settings.replace(sample_count=count)
         after = None
         if stopped:
-            after = ActivePixels(scene.frame.region, settings.noise_threshold, part_store().load(stopped))
+            active = ActivePixels(whole.frame.region, settings.noise_threshold, part_store().load(stopped))
+            after = active_in_band(active, (x0, y0, x1, y1))
         # when the render ends is decided where all samples are
         own = settings.replace(error_target=0.0, error_estimate="ON") if settings.error_target else settings
         film = session.render(scene, own, sample_first=first, after=after)
-        identity = FilmIdentity.of(scene, settings, session.device)
+        identity = replace(FilmIdentity.of(whole, settings, session.device), region=(x0, y0, x1, y1))
         kept = films.kept_of(film, identity, first, settings.sample_order)
         statistics = film.statistics
         share = {
             "first": first,
             "end": first + count,
+            "region": [x0, y0, x1, y1],
             "worker": f"{socket.gethostname()}, process {os.getpid()}",
             "device": device_description(session.device),
             "identity": identity.device,

@@ -6,9 +6,11 @@ import time
 
 import pytest
 
+from raybatch_addon.core.cluster import bands
 from raybatch_addon.core.cluster.local import local_cluster
 from raybatch_addon.core.cluster.ranges import SampleRange
 from raybatch_addon.core.settings.settings import RenderSettings
+from tests.support.watched_renders import FRAME
 
 SETTINGS = RenderSettings(sample_count=48, bounce_max=5)
 
@@ -19,11 +21,22 @@ def dealing(count):
     def dealt(self, workers):
         if self.is_dealt:
             return None
-        samples = SampleRange(self._next, min(self._next + count, self.end))
+        if self._band == self.bands:
+            self._begin_layer(workers)
+        samples = SampleRange(self._next, min(self._next + count, self._layer[1]), self._band)
         self._next = samples.end
+        if self._next == self._layer[1]:
+            self._band, self._next = self._band + 1, self._layer[0]
         return samples
 
     return dealt
+
+
+def cut_into(count, monkeypatch):
+    """Frames of these tests have so many bands, which is returned."""
+    monkeypatch.setattr(bands, "BAND_PIXELS", FRAME.width * FRAME.height / count)
+    assert len(bands.bands_of(FRAME.region)) == count
+    return count
 
 
 @contextlib.contextmanager

@@ -6,7 +6,7 @@ pytest.importorskip("distributed")
 
 from raybatch_addon.core.cluster.connection import Connection
 from raybatch_addon.core.cluster.ranges import RangeDeal
-from tests.core.cluster.clusters import SETTINGS, dealing, two_workers, wait_for
+from tests.core.cluster.clusters import SETTINGS, cut_into, dealing, two_workers, wait_for
 from tests.support import scenes
 from tests.support.watched_renders import FRAME
 
@@ -31,6 +31,18 @@ def connection(address):
 def expected(session):
     """The film of one process."""
     return session.render(scenes.mixed(FRAME), SETTINGS)
+
+
+@pytest.fixture
+def bands(monkeypatch):
+    """Frames are cut into three bands."""
+    return cut_into(3, monkeypatch)
+
+
+@pytest.fixture(params=[1, 3])
+def cut(request, monkeypatch):
+    """The number of bands into which frames are cut."""
+    return cut_into(request.param, monkeypatch)
 
 
 @pytest.fixture

@@ -22,7 +22,7 @@ from raybatch_addon.core.cluster import films
 from raybatch_addon.core.cluster.connection import ClusterError, Connection
 from raybatch_addon.core.cluster.session import ClusterSession
 from raybatch_addon.core.errors import SettingsError
-from tests.core.cluster.clusters import SETTINGS, wait_for
+from tests.core.cluster.clusters import SETTINGS, cut_into, wait_for
 from tests.support import scenes
 from tests.support.under_test import DEVICE
 from tests.support.watched_renders import FRAME, PASSES, assert_same, assert_same_film
@@ -38,7 +38,7 @@ def render(connection, **options):
     return ClusterSession(connection).render(scenes.mixed(FRAME), options.pop("settings", SETTINGS), **options)
 
 
-def test_the_film_is_that_of_one_process(connection, expected):
+def test_the_film_is_that_of_one_process(connection, expected, cut):
     tiles, fractions = [], []
     film = render(connection, on_tile=tiles.append, on_progress=lambda each: fractions.append(each.fraction))
     assert_same_film(film, expected)
@@ -46,13 +46,19 @@ def test_the_film_is_that_of_one_process(connection, expected):
     assert_same(tiles[-1].passes, expected.passes)
     assert fractions[-1] == 1.0 and max(fractions) <= 1.0
     shares = film.statistics["cluster"]["shares"]
-    assert [(a["end"], b["first"]) for a, b in itertools.pairwise(shares)] == [(b["first"],) * 2 for b in shares[1:]]
-    assert shares[0]["first"] == 0 and shares[-1]["end"] == SETTINGS.sample_count
+    regions = sorted({tuple(each["region"]) for each in shares})
+    assert len(regions) == cut
+    assert regions[0][:2] == (0, 0) and regions[-1][2:] == (FRAME.width, FRAME.height)
+    assert all(a[3] == b[1] for a, b in itertools.pairwise(regions))
+    for region in regions:
+        own = [each for each in shares if tuple(each["region"]) == region]
+        assert own[0]["first"] == 0 and own[-1]["end"] == SETTINGS.sample_count
+        assert all(a["end"] == b["first"] for a, b in itertools.pairwise(own))
     assert film.statistics["rays"] == expected.statistics["rays"]
     assert film.statistics["samples"] == expected.statistics["samples"]
 
 
-def test_halves_and_a_later_range(connection, session):
+def test_halves_and_a_later_range(connection, session, bands):
     settings = SETTINGS.replace(error_estimate="ON", sample_count=10)
     film = render(connection, settings=settings, sample_first=16)
     whole = session.render(scenes.mixed(FRAME), settings, sample_first=16)
@@ -72,7 +78,9 @@ def test_what_a_machine_has_is_not_sent_again(connection, expected, monkeypatch)
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_workers_that_are_killed_lose_nothing(connection, expected, long_tasks, seed):
+def test_workers_that_are_killed_lose_nothing(connection, expected, long_tasks, seed, monkeypatch):
+    if seed % 2:
+        cut_into(3, monkeypatch)
     rng, over, killed = random.Random(seed), threading.Event(), []
 
     def kill():
@@ -111,7 +119,7 @@ def test_a_worker_that_is_stopped_is_left_out(connection, expected, long_tasks, 
 
 
 @pytest.mark.parametrize("name", ["render", "merge"])
-def test_a_film_that_is_damaged_is_rendered_again(connection, expected, long_tasks, monkeypatch, name):
+def test_a_film_that_is_damaged_is_rendered_again(connection, expected, long_tasks, monkeypatch, name, cut):
     submit, spoiled = Connection.submit, []
 
     def spoil(sent):
@@ -142,7 +150,7 @@ def damaged(_sent):
 
 
 def test_a_cancelled_render_keeps_a_checkpoint_that_any_render_goes_on_with(
-    connection, session, expected, long_tasks, tmp_path
+    connection, session, expected, long_tasks, tmp_path, cut
 ):
     path, asked = tmp_path / "film.checkpoint", []
 

@@ -39,7 +39,7 @@ def test_these_films_are_worth_comparing(session):
     assert session.render(scenes.mixed(FRAME), TARGET).statistics["stopped_by"] == "error"
 
 
-def test_the_film_is_that_of_one_process(connection, by_one, long_tasks):
+def test_the_film_is_that_of_one_process(connection, by_one, long_tasks, cut):
     settings, expected = by_one
     tiles, fractions = [], []
     film = ClusterSession(connection).render(
@@ -56,9 +56,9 @@ def test_pixels_that_ended_go_to_a_machine_once_and_are_asked_for_where_they_are
     submit = Connection.submit
 
     def submit_without(self, name, *arguments, **options):
-        if name == "render" and arguments[4] and len(lost) < 2:
-            lost.append(arguments[4])
-            self._client.run(lose, arguments[4])
+        if name == "render" and arguments[5] and len(lost) < 2:
+            lost.append(arguments[5])
+            self._client.run(lose, arguments[5])
         return submit(self, name, *arguments, **options)
 
     monkeypatch.setattr(Connection, "submit", submit_without)
@@ -75,7 +75,9 @@ def lose(digest):
 
 
 @pytest.mark.parametrize("change", ["noise", "noise and error", "error"])
-def test_a_checkpoint_in_the_middle_of_a_round_is_that_of_any_render(connection, session, long_tasks, tmp_path, change):
+def test_a_checkpoint_in_the_middle_of_a_round_is_that_of_any_render(
+    connection, session, long_tasks, tmp_path, change, bands
+):
     settings, path, stops = CHANGES[change], tmp_path / "film.checkpoint", []
     expected = session.render(scenes.mixed(FRAME), settings)
     cluster = ClusterSession(connection)

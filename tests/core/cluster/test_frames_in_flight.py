@@ -36,14 +36,14 @@ def asked(monkeypatch):
 
     def submit_noted(self, name, *arguments, **options):
         if name == "render":
-            found.append((arguments[1], arguments[2]))
+            found.append((arguments[1], arguments[3]))
         return submit(self, name, *arguments, **options)
 
     monkeypatch.setattr(Connection, "submit", submit_noted)
     return found
 
 
-def test_frames_overlap_and_are_those_of_frames_alone(connection, session, long_tasks, asked):
+def test_frames_overlap_and_are_those_of_frames_alone(connection, session, long_tasks, asked, bands):
     cluster = ClusterSession(connection)
     films = []
     pending = cluster.begin(frame(0), SETTINGS)

@@ -9,6 +9,7 @@ from raybatch_addon.core.cluster.ranges import (
     LEAST_SECONDS,
     STRAGGLER_SECONDS,
     TASK_SECONDS,
+    TASK_TIMES_FILM,
     MergeTree,
     RangeDeal,
     SampleRange,
@@ -31,7 +32,7 @@ def dealt_by_workers(total, speeds):
             return dealt, free
         running.sort()
         now, i, samples = running.pop(0)
-        deal.note(samples, samples.count * speeds[i])
+        deal.note(samples, samples.count * speeds[i], 0.0)
         idle = [j for j in range(len(speeds)) if all(each[1] != j for each in running)]
         for j in idle:
             free[j] = max(free[j], now) if not deal.is_dealt else free[j]
@@ -63,16 +64,16 @@ def test_tasks_take_about_as_long_as_they_should():
 def test_who_is_late_is_told_from_who_has_much_to_do():
     deal = RangeDeal(0, 1000)
     assert not deal.is_late(SampleRange(0, 10), 1e9)  # nobody knows what a sample takes
-    deal.note(SampleRange(0, 10), 10.0)
+    deal.note(SampleRange(0, 10), 10.0, 0.0)
     assert not deal.is_late(SampleRange(10, 20), 15.0) and deal.is_late(SampleRange(10, 20), 21.0)
-    deal.note(SampleRange(10, 10_010), 0.01)
+    deal.note(SampleRange(10, 10_010), 0.01, 0.0)
     assert not deal.is_late(SampleRange(20, 21), 0.9 * STRAGGLER_SECONDS)
 
 
 def test_what_is_rendered_again_is_cut_into_tasks():
     deal = RangeDeal(0, 1000)
     assert deal.cut(SampleRange(3, 40)) == [SampleRange(3, 40)]
-    deal.note(SampleRange(0, 10), TASK_SECONDS)
+    deal.note(SampleRange(0, 10), TASK_SECONDS, 0.0)
     assert deal.cut(SampleRange(3, 27)) == [SampleRange(3, 13), SampleRange(13, 23), SampleRange(23, 27)]
 
 
@@ -110,3 +111,49 @@ def test_what_is_fetched_is_not_merged():
     tree.add(SampleRange(4, 8))
     tree.remove(SampleRange(0, 4))
     assert tree.take_pair(flush=True) is None
+
+
+@pytest.mark.parametrize("workers", [1, 3, 40])
+@pytest.mark.parametrize("bands", [2, 7])
+@pytest.mark.parametrize("total", [1, 5, 1000])
+def test_bands_get_all_samples_in_layers(total, bands, workers):
+    deal, dealt = RangeDeal(10, 10 + total, bands), []
+    while (samples := deal.next(workers)) is not None:
+        dealt.append(samples)
+        deal.note(samples, 0.2 * samples.count, 0.1)
+        left = total * bands - sum(each.count for each in dealt)
+        assert deal.is_dealt == (left == 0) and deal.dealt == pytest.approx(10 + total - left / bands)
+    ends = [0] * bands
+    for band in range(bands):
+        own = [each for each in dealt if each.band == band]
+        assert own[0].first == 10 and own[-1].end == 10 + total
+        assert all(a.end == b.first for a, b in itertools.pairwise(own))
+    for each in dealt:  # no band is two layers ahead of another
+        ends[each.band] = each.end
+        assert min(ends) >= 10 or each.first == 10
+    assert max(each.count for each in dealt) > 1 or total < 10
+
+
+def test_tasks_are_long_beside_what_their_films_take():
+    deal = RangeDeal(0, 100_000)
+    for beside in (30.0, 5.0, 6.0):  # the first one builds trees
+        deal.note(SampleRange(0, 1000), 100.0, beside)
+    assert deal.next(2).count == int(TASK_TIMES_FILM * 5.0 / 0.1)
+
+
+def test_films_are_merged_up_to_a_border_and_not_beyond():
+    tree = MergeTree()
+    for first, end, rank in ((0, 1, 0), (1, 9, 3), (9, 12, 3), (12, 20, 1)):
+        tree.add(SampleRange(first, end, 1), rank)
+        tree.add(SampleRange(first, end, 2), rank)
+    tree.border = 12
+    merged = []
+    while (pair := tree.take_pair()) is not None:
+        earlier, later, rank = pair
+        assert earlier.band == later.band
+        merged.append(SampleRange(earlier.first, later.end, earlier.band))
+        tree.add(merged[-1], rank)
+    assert {SampleRange(0, 12, 1), SampleRange(0, 12, 2)} <= {*merged} and all(each.end <= 12 for each in merged)
+    assert tree.take_pair(flush=True) is None
+    tree.border = None
+    assert tree.take_pair(flush=True)[1].first == 12
