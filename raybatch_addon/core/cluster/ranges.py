@@ -64,6 +64,11 @@ class RangeDeal:
         return not self._left
 
     @property
+    def layer_end(self) -> int:
+        """The end of the samples that are being dealt, which no range crosses, nor any that was dealt."""
+        return self._layer[1]
+
+    @property
     def _left(self) -> int:
         """Samples of a band each that are left to deal."""
         (first, end), bands = self._layer, self.bands
@@ -143,7 +148,7 @@ class MergeTree:
 
     def __init__(self) -> None:
         self._ranks: dict[SampleRange, int] = {}  # of those that wait: how often they were merged
-        self.border: int | None = None  # films before this sample are merged to one, and with none behind it
+        self._border: int | None = None  # films before this sample are merged to one, and with none behind it
 
     def add(self, samples: SampleRange, rank: int = 0) -> None:
         """The film of `samples` is there, merged `rank` times."""
@@ -153,7 +158,7 @@ class MergeTree:
         """Two neighbours to merge now, and the rank of what comes of them; None where none should be. With `flush` any
         neighbours are, since no more will come.
         """
-        ranks, ends, border = self._ranks, {(each.band, each.end): each for each in self._ranks}, self.border
+        ranks, ends, border = self._ranks, {(each.band, each.end): each for each in self._ranks}, self._border
         pairs = [(earlier, later) for later in sorted(ranks) if (earlier := ends.get((later.band, later.first)))]
         if border is not None:
             pairs = [(a, b) for a, b in pairs if not a.first < border < b.end]
@@ -162,6 +167,21 @@ class MergeTree:
             return None
         earlier, later = min(pairs, key=lambda pair: max(ranks[pair[0]], ranks[pair[1]]))
         return earlier, later, max(ranks.pop(earlier), ranks.pop(later)) + 1
+
+    def take_following(self, first: int, bands: int, layer_end: int) -> list[SampleRange]:
+        """The films of all bands whose samples begin with `first` and have one end. Where their ends differ there are
+        none now, and films are merged up to `layer_end`, which none crosses.
+        """
+        following = sorted((each for each in self._ranks if each.first == first), key=lambda each: each.band)
+        if len(following) < bands:
+            return []
+        if len({each.end for each in following}) > 1:
+            self._border = self._border or layer_end
+            return []
+        self._border = None
+        for each in following:
+            self.remove(each)
+        return following
 
     def remove(self, samples: SampleRange) -> None:
         """Its film is merged elsewhere."""

@@ -282,15 +282,12 @@ class ClusterRender:
         """Bring the films of the next samples here, at the end of a round or where it is time to keep them."""
         if self._fetched is None:
             is_last = self._is_dealt and not self._tasks and not self._unsafe
-            following = [each for each in self._films if each.first == self._keeper.end]
-            if len(following) < len(self._bands) or not (is_last or self._keeper.is_due()):
+            if not (is_last or self._keeper.is_due()):
                 return
-            if len({each.end for each in following}) > 1:  # some have to be merged up to there
-                self._tree.border = max(each.end for each in following)
-                return
-            self._tree.border = None
-            taken = [self._take(each) for each in sorted(following, key=lambda each: each.band)]
-            self._fetched = taken, self._helpers.submit(self._received, taken)
+            following = self._tree.take_following(self._keeper.end, len(self._bands), self._deal.layer_end)
+            if following:
+                taken = [self._films.pop(each) for each in following]
+                self._fetched = taken, self._helpers.submit(self._received, taken)
         elif self._fetched[1].done():
             received = self._fetched[1]
             try:

@@ -1,5 +1,6 @@
 """Ranges of samples: each is dealt once, small at first and at the end, and films are merged in a tree."""
 
+import dataclasses
 import itertools
 import random
 
@@ -146,7 +147,8 @@ def test_films_are_merged_up_to_a_border_and_not_beyond():
     for first, end, rank in ((0, 1, 0), (1, 9, 3), (9, 12, 3), (12, 20, 1)):
         tree.add(SampleRange(first, end, 1), rank)
         tree.add(SampleRange(first, end, 2), rank)
-    tree.border = 12
+    tree.add(SampleRange(0, 12, 0))
+    assert tree.take_following(0, 3, 12) == []
     merged = []
     while (pair := tree.take_pair()) is not None:
         earlier, later, rank = pair
@@ -155,5 +157,32 @@ def test_films_are_merged_up_to_a_border_and_not_beyond():
         tree.add(merged[-1], rank)
     assert {SampleRange(0, 12, 1), SampleRange(0, 12, 2)} <= {*merged} and all(each.end <= 12 for each in merged)
     assert tree.take_pair(flush=True) is None
-    tree.border = None
-    assert tree.take_pair(flush=True)[1].first == 12
+    assert tree.take_following(0, 3, 20) == [SampleRange(0, 12, each) for each in range(3)]
+    assert tree.take_following(0, 3, 20) == []
+    tree.add(SampleRange(20, 21, 1))
+    assert tree.take_pair(flush=True)[1].first == 20
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_films_of_all_bands_come_with_the_same_samples_wherever_their_ranges_end(seed):
+    """Ranges end elsewhere in each band, tasks and merges end in any order, and films are wanted at any time."""
+    rng, bands = random.Random(seed), 3
+    deal, tree, first = RangeDeal(0, 400, bands), MergeTree(), 0
+    running: list[tuple[SampleRange, int]] = []
+    for _ in range(100_000):
+        if not deal.is_dealt and rng.random() < 0.5:
+            samples = deal.next(rng.randint(1, 5))
+            running += [(each, 0) for each in (deal.cut(samples) if rng.random() < 0.2 else [samples])]
+        elif running and rng.random() < 0.8:
+            samples, rank = running.pop(rng.randrange(len(running)))
+            deal.note(samples, rng.uniform(0.5, 3.0) * samples.count, 0.1)
+            tree.add(samples, rank)
+        while (pair := tree.take_pair(deal.is_dealt and not running)) is not None:
+            running.append((dataclasses.replace(pair[0], end=pair[1].end), pair[2]))
+        if (deal.is_dealt and not running) or rng.random() < 0.1:
+            taken = tree.take_following(first, bands, deal.layer_end)
+            assert len({each.end for each in taken}) <= 1 and len(taken) in (0, bands)
+            first = taken[0].end if taken else first
+        if first == 400:
+            return
+    pytest.fail(f"nothing comes behind sample {first}")
