@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from raybatch_addon.core.cluster import bands
+from raybatch_addon.core.cluster import bands, ranges
 from raybatch_addon.core.cluster.local import local_cluster
 from raybatch_addon.core.cluster.ranges import SampleRange
 from raybatch_addon.core.settings.settings import RenderSettings
@@ -33,7 +33,8 @@ def dealing(count):
 
 
 def cut_into(count, monkeypatch):
-    """Frames of these tests have so many bands, which is returned."""
+    """Frames of these tests have so many bands, which is returned, and layers of few samples."""
+    monkeypatch.setattr(ranges, "LAYER_SECONDS", 0.1)
     monkeypatch.setattr(bands, "BAND_PIXELS", FRAME.width * FRAME.height / count)
     assert len(bands.bands_of(FRAME.region)) == count
     return count
