@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import heapq
 import math
 from dataclasses import dataclass, replace
 
@@ -148,25 +149,56 @@ class MergeTree:
 
     def __init__(self) -> None:
         self._ranks: dict[SampleRange, int] = {}  # of those that wait: how often they were merged
+        self._firsts: dict[tuple[int, int], SampleRange] = {}  # the same, by band and first sample
+        self._ends: dict[tuple[int, int], SampleRange] = {}
+        # a heap of those whose neighbours were not looked at since they came, which were merged least first
+        self._unseen: list[tuple[int, SampleRange]] = []
+        self._flush = False
         self._border: int | None = None  # films before this sample are merged to one, and with none behind it
 
     def add(self, samples: SampleRange, rank: int = 0) -> None:
         """The film of `samples` is there, merged `rank` times."""
         self._ranks[samples] = rank
+        self._firsts[samples.band, samples.first] = self._ends[samples.band, samples.end] = samples
+        heapq.heappush(self._unseen, (rank, samples))
+
+    def remove(self, samples: SampleRange) -> None:
+        """Its film is merged elsewhere."""
+        del self._ranks[samples], self._firsts[samples.band, samples.first], self._ends[samples.band, samples.end]
 
     def take_pair(self, flush: bool = False) -> tuple[SampleRange, SampleRange, int] | None:
         """Two neighbours to merge now, and the rank of what comes of them; None where none should be. With `flush` any
         neighbours are, since no more will come.
         """
-        ranks, ends, border = self._ranks, {(each.band, each.end): each for each in self._ranks}, self._border
-        pairs = [(earlier, later) for later in sorted(ranks) if (earlier := ends.get((later.band, later.first)))]
-        if border is not None:
-            pairs = [(a, b) for a, b in pairs if not a.first < border < b.end]
-        pairs = [(a, b) for a, b in pairs if flush or ranks[a] == ranks[b] or (border is not None and b.end <= border)]
-        if not pairs:
-            return None
-        earlier, later = min(pairs, key=lambda pair: max(ranks[pair[0]], ranks[pair[1]]))
-        return earlier, later, max(ranks.pop(earlier), ranks.pop(later)) + 1
+        if flush != self._flush:
+            self._flush = flush
+            self._look_again()
+        while self._unseen:
+            _, each = self._unseen[0]
+            before, behind = self._ends.get((each.band, each.first)), self._firsts.get((each.band, each.end))
+            pairs = [(before, each), (each, behind)] if each in self._ranks else []
+            pairs = [(self._rank(a, b), a, b) for a, b in pairs if a and b and self._may_merge(a, b)]
+            if not pairs:
+                heapq.heappop(self._unseen)
+                continue
+            rank, earlier, later = min(pairs)
+            self.remove(earlier)
+            self.remove(later)
+            return earlier, later, rank
+        return None
+
+    def _rank(self, earlier: SampleRange, later: SampleRange) -> int:
+        return max(self._ranks[earlier], self._ranks[later]) + 1
+
+    def _may_merge(self, earlier: SampleRange, later: SampleRange) -> bool:
+        if self._border is not None and earlier.first < self._border < later.end:
+            return False
+        is_before = self._border is not None and later.end <= self._border
+        return self._flush or is_before or self._ranks[earlier] == self._ranks[later]
+
+    def _look_again(self) -> None:
+        """At all that wait."""
+        self._unseen = sorted((rank, each) for each, rank in self._ranks.items())
 
     def take_following(self, first: int, bands: int, layer_end: int) -> list[SampleRange]:
         """The films of all bands whose samples begin with `first` and have one end. Where their ends differ there are
@@ -176,13 +208,13 @@ class MergeTree:
         if len(following) < bands:
             return []
         if len({each.end for each in following}) > 1:
-            self._border = self._border or layer_end
+            if self._border is None:
+                self._border = layer_end
+                self._look_again()
             return []
-        self._border = None
+        if self._border is not None:
+            self._border = None
+            self._look_again()
         for each in following:
             self.remove(each)
         return following
-
-    def remove(self, samples: SampleRange) -> None:
-        """Its film is merged elsewhere."""
-        del self._ranks[samples]
