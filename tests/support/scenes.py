@@ -155,14 +155,18 @@ def area_light(radiance=1.0, size=1.0, matrix=None) -> Light:
     )
 
 
-def mixed(frame: Frame | None = None) -> Scene:
-    """A bit of everything: instances, glass, metal, transparency, an emitter, three lights and a tinted world."""
+def mixed(frame: Frame | None = None, fineness: int = 1) -> Scene:
+    """A bit of everything: instances, glass, metal, transparency, an emitter, three lights and a tinted world. Balls
+    have `fineness` times as many segments and rings.
+    """
+    segments, rings = 16 * fineness, 8 * fineness
     glass = material(Closure(ClosureKind.GLASS, (0.9, 1.0, 0.9), roughness=0.1, ior=1.45), name="glass")
     metal = material(Closure(ClosureKind.METAL, (0.9, 0.6, 0.3), roughness=0.3), name="metal")
     veil = material(
         Closure(ClosureKind.TRANSPARENT, (0.6, 0.7, 0.8)), Closure(ClosureKind.DIFFUSE, (0.3, 0.2, 0.1)), name="veil"
     )
-    ball, smooth_ball, floor = sphere(segments=16, rings=8), sphere("smooth", 16, 8, smooth=True), plane(size=12)
+    ball, floor = sphere(segments=segments, rings=rings), plane(size=12)
+    smooth_ball = sphere("smooth", segments, rings, smooth=True)
     tilted = translation(1.6, -1.2, 0.2, 0.6)
     tilted[:, :3] = (
         0.6 * np.array([[1, 0, 0], [0, math.cos(1.2), -math.sin(1.2)], [0, math.sin(1.2), math.cos(1.2)]])

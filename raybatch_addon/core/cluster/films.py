@@ -43,12 +43,17 @@ def kept_of(film: Film, identity: FilmIdentity, sample_first: int, sample_order:
     return KeptFilm(identity, progress, tuple(half.fetched() for half in halves))
 
 
-def sent_film(film: KeptFilm, shares: list[dict[str, Any]]) -> Sent:
-    """`film` as it travels; `shares` say who rendered which samples."""
+def packed(film: KeptFilm) -> list[dict[str, Any]]:
+    """The arrays of `film`, by name, of each half."""
     part = film.identity.part
+    return [samples_as_arrays(part, [TileSamples(part.rectangle, samples)]) for samples in film.halves]
+
+
+def sent_film(film: KeptFilm, shares: list[dict[str, Any]], halves: list[dict[str, Any]] | None = None) -> Sent:
+    """`film` as it travels; `shares` say who rendered which samples, and `halves` are its arrays if they are there."""
     progress, _ = film.progress.record()
     header = json.dumps({"film": film.identity.record(), "progress": progress, "shares": shares})
-    halves = [samples_as_arrays(part, [TileSamples(part.rectangle, samples)]) for samples in film.halves]
+    halves = packed(film) if halves is None else halves
     return {"header": header, "halves": halves, "digest": _digest(header, halves)}
 
 

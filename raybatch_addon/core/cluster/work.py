@@ -78,6 +78,7 @@ def render(recipe: str, digest: str, band: Sequence[int], first: int, count: int
         film = session.render(scene, own, sample_first=first, after=after)
         identity = replace(FilmIdentity.of(whole, settings, session.device), region=(x0, y0, x1, y1))
         kept = films.kept_of(film, identity, first, settings.sample_order)
+        halves = films.packed(kept)
         statistics = film.statistics
         share = {
             "first": first,
@@ -92,7 +93,7 @@ def render(recipe: str, digest: str, band: Sequence[int], first: int, count: int
             "memory_peak": statistics["memory_peak"],
             "warnings": [str(each) for each in statistics["warnings"] if each not in scene.warnings],
         }
-        return films.sent_film(kept, [share])
+        return films.sent_film(kept, [share], halves)
 
 
 def shares_of(sent: films.Sent) -> Any:

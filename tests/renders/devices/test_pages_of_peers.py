@@ -8,9 +8,8 @@ from raybatch_addon.core import session_device
 from raybatch_addon.core.bvh.pages.peers import build as peers_build
 from raybatch_addon.core.bvh.pages.peers.store import PeerStore
 from raybatch_addon.core.scene.description import Scene
-from tests.renders.devices.test_several_devices import COUNT, failing, settings_of, several
-from tests.support import scenes
-from tests.support.watched_renders import FRAME, assert_same_film
+from tests.renders.devices.test_several_devices import COUNT, failing, fine, settings_of, several
+from tests.support.watched_renders import assert_same_film
 
 pytestmark = pytest.mark.usefixtures("general_kernels")
 
@@ -38,7 +37,7 @@ def moved(scene: Scene) -> Scene:
 def test_pages_are_built_once_for_all_and_kept_for_the_next_render(several, stores):
     settings = settings_of("peers")
     made = []
-    for scene in (scenes.mixed(FRAME), scenes.mixed(FRAME), moved(scenes.mixed(FRAME))):
+    for scene in (fine(), fine(), moved(fine())):
         tree = several.render(scene, settings).statistics["tree"]
         assert tree["store"] == "PEERS" and tree["peer_count"] == COUNT and tree["peer_bytes"] > 0
         made.append(len(stores))
@@ -47,20 +46,20 @@ def test_pages_are_built_once_for_all_and_kept_for_the_next_render(several, stor
 
 
 def test_several_devices_of_other_stores_have_pages_of_their_own(several, stores):
-    film = several.render(scenes.mixed(FRAME), settings_of("peers").replace(geometry_store="HOST"))
+    film = several.render(fine(), settings_of("peers").replace(geometry_store="HOST"))
     assert film.statistics["tree"]["store"] == "HOST" and "peer_count" not in film.statistics["tree"] and not stores
 
 
 def test_one_device_keeps_pages_in_host_memory_and_says_so(session, stores):
-    film = session.render(scenes.mixed(FRAME), settings_of("peers"))
+    film = session.render(fine(), settings_of("peers"))
     assert film.statistics["tree"]["store"] == "HOST" and not stores
     assert "geometry_store is HOST, not PEERS: one device renders" in film.statistics["warnings"]
 
 
 def test_devices_that_fail_to_read_each_other_use_host_memory(session, several, stores, monkeypatch):
-    expected = session.render(scenes.mixed(FRAME), settings_of("peers"))
+    expected = session.render(fine(), settings_of("peers"))
     monkeypatch.setattr(session_device, "let_read", lambda devices: "cuda:1 cannot read the memory of cuda:0")
-    film = several.render(scenes.mixed(FRAME), settings_of("peers"))
+    film = several.render(fine(), settings_of("peers"))
     assert_same_film(film, expected)
     assert film.statistics["tree"]["store"] == "HOST" and not stores
     found = "geometry_store is HOST, not PEERS: cuda:1 cannot read the memory of cuda:0"
@@ -69,8 +68,8 @@ def test_devices_that_fail_to_read_each_other_use_host_memory(session, several, 
 
 def test_a_failure_on_one_device_leaves_the_session_well(session, several, monkeypatch):
     settings = settings_of("peers")
-    expected, end = session.render(scenes.mixed(FRAME), settings), RuntimeError("it broke")
+    expected, end = session.render(fine(), settings), RuntimeError("it broke")
     monkeypatch.setattr(peers_build, "build_paged_scene", failing(peers_build.build_paged_scene, 2, end))
     with pytest.raises(Exception, match="it broke"):
-        several.render(scenes.mixed(FRAME), settings)
-    assert_same_film(several.render(scenes.mixed(FRAME), settings), expected)
+        several.render(fine(), settings)
+    assert_same_film(several.render(fine(), settings), expected)

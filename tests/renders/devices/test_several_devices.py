@@ -4,6 +4,8 @@ import pytest
 import warp as wp
 
 from raybatch_addon.core import session as session_module
+from raybatch_addon.core.bvh.build.scene_tree import layout_for
+from raybatch_addon.core.bvh.memory import GeometrySize
 from raybatch_addon.core.checkpoint.checkpoint import Checkpoint
 from raybatch_addon.core.errors import DeviceError
 from raybatch_addon.core.native.structs import copied_to
@@ -13,7 +15,7 @@ from raybatch_addon.core.wavefront.integrator import TileIntegrator
 from raybatch_addon.core.wavefront.render import deal
 from raybatch_addon.core.wavefront.scene.device_scene import DeviceScene
 from raybatch_addon.core.wavefront.tile_state import TileState
-from tests.support import scenes, schedule_scenes
+from tests.support import scenes
 from tests.support.under_test import DEVICE
 from tests.support.watched_renders import FRAME, SETTINGS, assert_same_film, stopping
 
@@ -30,6 +32,8 @@ WAYS = {
     "paged": dict(debug_checks="ON", tile_size=8),
     "peers": dict(debug_checks="ON", tile_size=8, geometry_store="PEERS"),
 }
+# Budgets, as shares of what the whole scene takes at most
+PAGED = {"paged": 0.2, "peers": 0.6}
 
 
 def of_several() -> Session:
@@ -59,9 +63,16 @@ def several(monkeypatch):
     session.close()
 
 
+def fine() -> scenes.Scene:
+    """A scene that has pages."""
+    return scenes.mixed(FRAME, 4)
+
+
 def settings_of(way: str):
-    least = {"paged": 1, "peers": 2}.get(way, 0) * schedule_scenes.least_budget(DEVICE)
-    budget = dict(geometry_budget=least + 1000) if least else {}
+    budget = {}
+    if way in PAGED:
+        layout = layout_for(wp.get_device(DEVICE))
+        budget["geometry_budget"] = int(PAGED[way] * GeometrySize.of(fine()).tree_bytes_most(layout))
     return SETTINGS.replace(**{"thread_count": 1, "sample_count": 12, **WAYS[way], **budget})
 
 
@@ -81,62 +92,62 @@ def failing(call, number, error):
 @pytest.mark.parametrize("way", WAYS)
 def test_the_film_is_that_of_one_device(session, several, way):
     settings = settings_of(way)
-    expected = session.render(scenes.mixed(FRAME), settings)
+    expected = session.render(fine(), settings)
     for _ in range(2):  # the second with what the first left
-        film = several.render(scenes.mixed(FRAME), settings)
+        film = several.render(fine(), settings)
         assert_same_film(film, expected)
         assert film.statistics["rays"] == expected.statistics["rays"]
     assert film.statistics["schedule"]["workers"] == COUNT
 
 
 def test_the_statistics_list_the_devices(several):
-    found = several.render(scenes.mixed(FRAME), settings_of("progressive")).statistics
+    found = several.render(fine(), settings_of("progressive")).statistics
     assert [each["alias"] for each in found["devices"]] == [each.alias for each in several.devices]
     assert found["devices"][0] == found["device"]
 
 
 def test_few_paths_are_not_shared(session, several, monkeypatch):
     settings = settings_of("progressive")
-    expected = session.render(scenes.mixed(FRAME), settings)
+    expected = session.render(fine(), settings)
     monkeypatch.setattr(session_module, "SHARED_PATHS_LEAST", settings.sample_count * FRAME.pixel_count + 1)
-    film = several.render(scenes.mixed(FRAME), settings)
+    film = several.render(fine(), settings)
     assert_same_film(film, expected)
     assert len(film.statistics["devices"]) == film.statistics["schedule"]["workers"] == 1
 
 
 def test_a_stopped_render_goes_on_with_other_devices(session, several):
     settings = settings_of("halves")
-    expected = session.render(scenes.mixed(FRAME), settings)
+    expected = session.render(fine(), settings)
     for first, second in ((session, several), (several, session)):
         with stopping(5):
-            film = first.render(scenes.mixed(FRAME), settings)
+            film = first.render(fine(), settings)
         assert not film.complete and film.resume_state
-        assert_same_film(second.render(scenes.mixed(FRAME), settings, resume=film), expected)
+        assert_same_film(second.render(fine(), settings, resume=film), expected)
 
 
 def test_a_checkpoint_of_one_device_goes_on_with_several(session, several, tmp_path):
     settings, path = settings_of("progressive"), tmp_path / "film.checkpoint"
-    expected = session.render(scenes.mixed(FRAME), settings)
+    expected = session.render(fine(), settings)
     with stopping(5):
-        stopped = session.render(scenes.mixed(FRAME), settings, checkpoint=Checkpoint(path))
+        stopped = session.render(fine(), settings, checkpoint=Checkpoint(path))
     assert not stopped.complete and path.exists()
-    assert_same_film(several.render(scenes.mixed(FRAME), settings, checkpoint=Checkpoint(path)), expected)
+    assert_same_film(several.render(fine(), settings, checkpoint=Checkpoint(path)), expected)
 
 
 def test_what_fails_on_one_device_fails_the_render_and_leaves_the_session_well(session, several, monkeypatch):
     settings = settings_of("progressive")
-    expected = session.render(scenes.mixed(FRAME), settings)
+    expected = session.render(fine(), settings)
     lack = DeviceError("the last one has no room")
     monkeypatch.setattr(DeviceScene, "build", failing(DeviceScene.build, COUNT, lack))
     with pytest.raises(DeviceError, match="the last one has no room"):
-        several.render(scenes.mixed(FRAME), settings)
-    assert_same_film(several.render(scenes.mixed(FRAME), settings), expected)
+        several.render(fine(), settings)
+    assert_same_film(several.render(fine(), settings), expected)
 
     end = DeviceError("one of them is gone")
     monkeypatch.setattr(TileIntegrator, "render", failing(TileIntegrator.render, 5, end))
     with pytest.raises(DeviceError, match="one of them is gone"):
-        several.render(scenes.mixed(FRAME), settings)
-    assert_same_film(several.render(scenes.mixed(FRAME), settings), expected)
+        several.render(fine(), settings)
+    assert_same_film(several.render(fine(), settings), expected)
 
 
 def test_a_cancel_while_they_build_ends_all(several, monkeypatch):
@@ -148,9 +159,9 @@ def test_a_cancel_while_they_build_ends_all(several, monkeypatch):
         return build(*arguments, **options)
 
     monkeypatch.setattr(DeviceScene, "build", noted)
-    film = several.render(scenes.mixed(FRAME), settings_of("progressive"), cancelled=lambda: bool(begun))
+    film = several.render(fine(), settings_of("progressive"), cancelled=lambda: bool(begun))
     assert not film.complete and film.sample_total == 0
-    assert several.render(scenes.mixed(FRAME), settings_of("progressive")).complete
+    assert several.render(fine(), settings_of("progressive")).complete
 
 
 @pytest.mark.parametrize("names", [f"{DEVICE},{DEVICE}", f"{DEVICE}, nothing"])
