@@ -17,6 +17,7 @@ from raybatch_addon.core.scene.archive import load_scene
 from raybatch_addon.core.scene.description import Camera, Closure, ClosureKind, Frame, Material, Mesh, Scene
 from raybatch_addon.core.scene.features import SCATTERING, derive_features
 from raybatch_addon.core.scene.flatten import FlatGeometry, flatten
+from raybatch_addon.core.scene.frozen import freeze
 from raybatch_addon.core.scene.validate import checked_scene
 from raybatch_addon.core.settings.settings import RenderSettings
 
@@ -91,6 +92,9 @@ def load_benchmark_scene(request: SceneRequest, pixel_count: int) -> BenchmarkSc
             f"{request.path} cannot be measured: give geometry (.npz), or a scene that render.py --save-scene wrote "
             "(.scene.npz)"
         )
+    for mesh in scene.meshes:  # as an export's are: what is known of them stays true
+        freeze(mesh.positions)
+        freeze(mesh.triangles)
     scene = checked_scene(with_paths(scene, settings, request.up or "z"))
     features = derive_features(scene, settings)
     if not features.surfaces:

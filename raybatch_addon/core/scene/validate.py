@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..device.bulk import column_bounds
 from ..errors import SceneError
 from .description import Camera, Frame, InstanceMaps, Instances, Light, LightKind, Mesh, Scene, World
 from .frozen import fact
@@ -316,7 +317,7 @@ def _belongs(values: np.ndarray, triangle_count: int) -> bool:
 
 def box_of(points: np.ndarray) -> np.ndarray:
     """Least and greatest coordinates of `points`, shape [n, 3] with n >= 1: shape [2, 3]."""
-    return np.stack([points.min(0), points.max(0)])
+    return np.stack(column_bounds(points))
 
 
 def _range(indices: np.ndarray) -> tuple[int, int]:

@@ -5,7 +5,7 @@ import pytest
 import warp as wp
 
 from raybatch_addon.core.device import bulk
-from raybatch_addon.core.device.bulk import add_rows, copy_rows, digest_of, in_slices, take_rows
+from raybatch_addon.core.device.bulk import add_rows, column_bounds, copy_rows, digest_of, in_slices, take_rows
 from raybatch_addon.core.device.locked import locked_empty, locked_view
 from tests.support.under_test import DEVICE
 
@@ -54,6 +54,18 @@ def test_digests_are_of_contents(monkeypatch):
     changed[700] += 1
     assert digest_of([a], "x") != digest_of([changed], "x")
     assert digest_of([a], "x") == digest_of([a.copy()], "x")
+
+
+@pytest.mark.parametrize("count", [1, 63, 64, 65, 130, 5001])
+@pytest.mark.parametrize("shape", [(), (3,), (2, 3)])
+def test_bounds_of_columns_are_those_of_numpy(count, shape, monkeypatch):
+    monkeypatch.setattr(bulk, "_SLICE_ROWS", 1000)
+    rows = np.random.default_rng(count).normal(size=(count, *shape)).astype(np.float32)
+    for each in (rows, (1000 * rows).astype(np.int32), rows[::-1]):
+        low, high = column_bounds(each)
+        assert np.array_equal(low, each.min(0)) and np.array_equal(high, each.max(0))
+    rows[count // 2] = np.nan
+    assert all(np.isnan(each).all() for each in column_bounds(rows))
 
 
 @pytest.mark.skipif(DEVICE == "cpu", reason="memory is locked for a CUDA device")
