@@ -177,4 +177,5 @@ def test_the_tier_that_renders_is_reported(device):
         "specialised_after": None,
         "compiled_for_next": False,
     }
-    assert set(reported) == {"", "general"}
+    # before there are kernels there is nothing to name, if that takes long enough to be reported
+    assert reported[-1] == "general" and set(reported) <= {"", "general"}

@@ -41,12 +41,38 @@ def test_what_is_in_an_octant_counts_half_a_cell_around():
     shape = (CELLS_MOST,) * 3 + (2, 2, 2, 2)
     found = np.where(rng.random(shape) < 0.02, rng.random(shape), 0.0)
     found[..., FLIGHTS] = np.maximum(found[..., FLIGHTS], found[..., EXTINCTION])
+    found[:, :, :, :, :, 1] = found[:, :, :, :, :, 0]  # what is found in an octant the next one tells of
     fine = np.moveaxis(found, (3, 4, 5), (1, 3, 5)).reshape((2 * CELLS_MOST,) * 3 + (2,))
     bounds = bounds_of(found)
     for cell in rng.integers(0, CELLS_MOST, (200, 3)).tolist() + [[0, 0, 0], [CELLS_MOST - 1] * 3]:
         around = tuple(slice(max(2 * i - 1, 0), 2 * i + 3) for i in cell)
         expected = MARGIN * fine[around].reshape(-1, 2).max(0)
         np.testing.assert_allclose(bounds[tuple(cell)], expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("share", [1e-3, 1e-4])
+def test_clouds_of_small_parts_are_bounded_as_far_around_as_others_are_found(share):
+    """Points that were not asked are hardly ever denser than the bounds; where nothing is, the bounds stay at 0."""
+    rng, half = np.random.default_rng(3), CELLS_MOST // 2
+    shape = (CELLS_MOST,) * 3 + (2, 2, 2)
+
+    def drawn():
+        found = np.where(rng.random(shape) < share, rng.uniform(0.5, 1.0, shape), 0.0)
+        found[half:] = 0.0
+        return found
+
+    bounds = bounds_of(np.repeat(drawn()[..., None], 2, -1))[..., EXTINCTION]
+    others = drawn()
+    above = np.maximum(others - bounds[..., None, None, None], 0.0).sum() / others.sum()
+    assert above < 0.01
+    assert bounds[-1].max() == 0.0 or share < 1e-3
+
+
+def test_one_small_part_is_not_bounded_elsewhere():
+    found = np.zeros((CELLS_MOST,) * 3 + (2, 2, 2, 2))
+    found[5, 6, 7, 0, 1, 0] = 3.0
+    bounds = bounds_of(found)[..., EXTINCTION]
+    assert bounds[5, 6, 7] == pytest.approx(MARGIN * 3.0) and np.count_nonzero(bounds) == 8
 
 
 @pytest.mark.usefixtures("general_kernels")

@@ -1,8 +1,9 @@
 """Bounds of the extinction of volumes whose coefficients programs give: found before the render, on grids of cells.
 
 A program is evaluated at a point of each octant of a cell, and where grids that it may read are largest in the cell.
-The largest extinction of the cell and of the octants around it counts, where the volume moves of the cells around it.
-That is an estimate: where a program exceeds it, the volume is rendered as dense as the bound: to shadow rays that of
+The largest extinction of the cell and of the octants around it counts, where the volume moves of the cells around it;
+and of cells further away, where the others do not tell what is found at a point, as in clouds of small parts. That is
+an estimate: where a program exceeds it, the volume is rendered as dense as the bound: to shadow rays that of
 the extinction, to paths that of flights, which is larger where there is light.
 
 What moves by grids is looked at as the grids have it, and what was found counts as far as anything comes.
@@ -18,7 +19,7 @@ import numpy as np
 import warp as wp
 
 from ...device.codegen.local_arrays import Unset
-from ...scene.description import Grid, Mesh, Scene, Visibility
+from ...scene.description import Mesh, Scene, Visibility
 from ...scene.frozen import fact
 from ...scene.geometry import transform_point
 from ...scene.motion import moving_instances
@@ -27,8 +28,9 @@ from ...scene.program import ProgramFeatures
 from ...scene.validate import box_of
 from ...shading.bsdf.materials import address_of
 from ...shading.sequences.keys import mix_bits, sequence_number
-from ...shading.volumes.grids import CUBE_CORNERS, TILE, flow_reach, is_scalar, tiles_of
+from ...shading.volumes.grids import flow_reach
 from ...shading.volumes.phase import PhaseLobe
+from .grids import peaks_of
 from .medium import LOBES_MOST, PHASE_LOBE_FLOATS, WORLD_REACH, make_medium
 from .segment import ray_point
 from .table import EXTINCTION, BoundBox, Bounds, BoundWork, VolumeData
@@ -39,14 +41,16 @@ CELLS_MOST, CELLS_TOGETHER, CELLS_AT_ONCE = 32, 1 << 20, 1 << 18
 CELL_POINTS = 8
 # A volume is taken to be this much denser than at the densest point that was found
 _MARGIN = 1.1
+# Bounds are widened until points that are asked alone have at most this share of the density above them
+_MISSING_MOST = 0.005
 # Flights along an edge of a cell at most: what is denser lets nothing through a small part of the cell
 _FLIGHTS_MOST = 4096.0
 # Lines go out of the middle of the world's volume to its end: their cells, the optical depth of a cell below which it
 # is empty, and that of a line from which on no light comes in
 _LINE_CELLS = 8
 _DIMS_LEAST, _DIMS_MOST = 1e-3, 7.0
-# Tiles of a grid whose voxels are looked at together
-_TILES_TOGETHER = 2048
+# What two sets of numbers have together
+Join = Callable[[np.ndarray, np.ndarray], np.ndarray]
 # Kinds of rays, of which each has a bit; each with bounce 0 and 1
 RAYS = 2 * int(Visibility.ALL).bit_count()
 
@@ -221,7 +225,7 @@ def find_bounds(
         volumes.asked = asked
         launch(volumes, len(together) * count)
         shape = len(together), cells, cells, cells, 2, 2, 2, 2
-        around[together] = [_largest_around(each) for each in asked.found.numpy().reshape(shape)]
+        around[together] = [_largest_anywhere_near(each) for each in asked.found.numpy().reshape(shape)]
         for number in together:
             mesh = bounded[number].mesh
             if mesh is not None and mesh.flow is not None:
@@ -235,45 +239,6 @@ def find_bounds(
         bounds=wp.array(numbers.reshape(-1, 2).astype(np.float32), dtype=wp.vec2, device=device),
         most=np.where(denser, most, np.inf),
     )
-
-
-def peaks_of(grid: Grid, low: np.ndarray, size: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray]:
-    """Where `grid` has its largest value in each of `cells`^3 cells of the box that begins at `low`: object space [m],
-    float64, shape [cells^3, 3], the middle of a cell in which there is nothing; and these values, float32.
-    """
-    whole = np.vstack([np.asarray(grid.to_index, np.float64), [0, 0, 0, 1]])
-    to_object = np.linalg.inv(whole)[:3]
-    middles = np.stack(np.meshgrid(*[np.arange(cells) + 0.5] * 3, indexing="ij"), -1).reshape(-1, 3)
-    places, best = low + middles / cells * size, np.zeros(cells**3, np.float32)
-
-    def cell_of(at: np.ndarray) -> np.ndarray:
-        return np.clip((at - low) / size * cells, 0, cells - 1).astype(int)
-
-    def add(voxels: np.ndarray, found: np.ndarray) -> None:
-        at = voxels @ to_object[:, :3].T + to_object[:, 3]
-        number = cell_of(at) @ (cells * cells, cells, 1)
-        np.maximum.at(best, number, found)
-        won = found >= best[number]
-        places[number[won]] = at[won]
-
-    corners, tiles = tiles_of(grid)
-    for first in range(0, len(corners), _TILES_TOGETHER):
-        corner = corners[first : first + _TILES_TOGETHER]
-        values = tiles[first : first + _TILES_TOGETHER]
-        if not is_scalar(grid):
-            values = np.abs(values).max(-1)
-        # a tile that lies in one cell counts by its largest value alone
-        ends = (corner[:, None] + (TILE - 1) * CUBE_CORNERS) @ to_object[:, :3].T + to_object[:, 3]
-        in_cells = cell_of(ends)
-        alone = (in_cells.min(1) == in_cells.max(1)).all(1)
-        flat = values[alone].reshape(-1, TILE**3)
-        largest = flat.argmax(1) if len(flat) else np.zeros(0, int)
-        found = flat[np.arange(len(flat)), largest]
-        voxels = corner[alone] + np.stack(np.unravel_index(largest, (TILE,) * 3), 1)
-        add(voxels[found > 0], found[found > 0])
-        tile, *voxel = np.nonzero(values[~alone] > 0)
-        add(corner[~alone][tile] + np.stack(voxel, 1), values[~alone][(tile, *voxel)])
-    return places, best
 
 
 def goes_on_beyond(
@@ -307,30 +272,59 @@ def largest_of_cells(found: wp.array) -> np.ndarray:
     return found.numpy()[:, EXTINCTION].reshape(-1, CELL_POINTS).max(1).astype(np.float64)
 
 
-def _largest_around(octants: np.ndarray) -> np.ndarray:
+def _largest_anywhere_near(octants: np.ndarray) -> np.ndarray:
+    """The largest of each cell and of all around it, so far away as it takes for other points to tell of the largest
+    that is found in a cell. Shapes as those of `_largest_around`.
+    """
+    extinction = octants[..., EXTINCTION]
+    own, cells = extinction.max((3, 4, 5)), len(octants)
+    whole = max(float(extinction.sum(dtype=np.float64)), 1e-300)
+    # sets that are joined have nothing in common: points of octants, or of cells
+    near = _largest_around(np.stack([extinction, np.zeros_like(extinction)], -1), _two_largest)
+    in_cell = np.partition(extinction.reshape(*own.shape, CELL_POINTS), -2, 3)[..., :-3:-1]
+
+    def missing(far: int) -> float:
+        most, second = np.moveaxis(_spread(in_cell, np.full(3, far), _two_largest) if far else near, -1, 0)
+        above = own - _MARGIN * np.where(own < most, most, second)
+        return float(np.maximum(above, 0.0).sum(dtype=np.float64)) / whole
+
+    largest = _largest_around(octants)
+    if missing(0) <= _MISSING_MOST:
+        return largest
+    # what no other point tells of is not found by widening either
+    most = max(_MISSING_MOST, 1.1 * missing(cells))
+    far = next(far for far in [0, *(1 << k for k in range(cells.bit_length())), cells] if missing(far) <= most)
+    return _spread(largest, np.full(3, far))
+
+
+def _two_largest(some: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """The two largest, [..., 2], of those of two sets."""
+    (first, second), (other, next_one) = np.moveaxis(some, -1, 0), np.moveaxis(others, -1, 0)
+    return np.stack([np.maximum(first, other), np.maximum(np.minimum(first, other), np.maximum(second, next_one))], -1)
+
+
+def _largest_around(octants: np.ndarray, join: Join = np.maximum) -> np.ndarray:
     """The largest of each cell and of the octants that touch it; shape [x, y, z, ...] from [x, y, z, 2, 2, 2, ...]."""
     cells = octants
     for axis in range(3):
         # the half of a cell before it, its own two, the half of one behind it; those at the ends have none
-        low, high = np.split(cells, 2, 3)
-        own = np.maximum(low, high)
-        inner = [slice(None)] * own.ndim
-        before, behind = [*inner], [*inner]
-        before[axis], behind[axis] = slice(None, -1), slice(1, None)
-        own[tuple(behind)] = np.maximum(own[tuple(behind)], high[tuple(before)])
-        own[tuple(before)] = np.maximum(own[tuple(before)], low[tuple(behind)])
-        cells = own.squeeze(3)
+        low, high = (half.squeeze(3) for half in np.split(cells, 2, 3))
+        before, behind = (np.moveaxis(half, axis, 0) for half in (low, high))
+        own = np.moveaxis(join(low, high), axis, 0)
+        own[1:] = join(own[1:], behind[:-1])
+        own[:-1] = join(own[:-1], before[1:])
+        cells = np.moveaxis(own, 0, axis)
     return cells
 
 
-def _spread(cells: np.ndarray, reach: np.ndarray) -> np.ndarray:
+def _spread(cells: np.ndarray, reach: np.ndarray, join: Join = np.maximum) -> np.ndarray:
     """The largest of all cells that are at most `reach` cells from each along each axis; shape [x, y, z, ...]."""
     for axis, far in enumerate(np.minimum(reach, cells.shape[:3]).tolist()):
         moved = np.moveaxis(cells, axis, 0)
         spread = moved.copy()
         for step in range(1, far + 1):
-            np.maximum(spread[step:], moved[:-step], out=spread[step:])
-            np.maximum(spread[:-step], moved[step:], out=spread[:-step])
+            spread[step:] = join(spread[step:], moved[:-step])
+            spread[:-step] = join(spread[:-step], moved[step:])
         cells = np.moveaxis(spread, 0, axis)
     return cells
 

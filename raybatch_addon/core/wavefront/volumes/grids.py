@@ -12,8 +12,11 @@ from ...device.kernel import KERNEL_OPTIONS
 from ...programs.inputs_data import InputData
 from ...programs.ops.inputs.grids import GRID_NUMBERS
 from ...scene.description import Grid, Scene
-from ...shading.volumes.grids import TILE, grid_digest, is_scalar, tiles_of
+from ...shading.volumes.grids import CUBE_CORNERS, TILE, grid_digest, is_scalar, tiles_of
 from .table import Flow, VolumeData
+
+# Tiles of a grid whose voxels are looked at together
+_TILES_TOGETHER = 2048
 
 
 class GridCache:
@@ -154,3 +157,42 @@ def density_scale(scene: Scene) -> np.ndarray | None:
     size = np.linalg.norm(linear @ np.full(3, 3**-0.5), axis=1)
     asked = np.array([mesh.object_density for mesh in scene.meshes])[scene.instances.mesh]
     return np.where(asked & (size > 0), 1 / np.where(size > 0, size, 1), 1).astype(np.float32)
+
+
+def peaks_of(grid: Grid, low: np.ndarray, size: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray]:
+    """Where `grid` has its largest value in each of `cells`^3 cells of the box that begins at `low`: object space [m],
+    float64, shape [cells^3, 3], the middle of a cell in which there is nothing; and these values, float32.
+    """
+    whole = np.vstack([np.asarray(grid.to_index, np.float64), [0, 0, 0, 1]])
+    to_object = np.linalg.inv(whole)[:3]
+    middles = np.stack(np.meshgrid(*[np.arange(cells) + 0.5] * 3, indexing="ij"), -1).reshape(-1, 3)
+    places, best = low + middles / cells * size, np.zeros(cells**3, np.float32)
+
+    def cell_of(at: np.ndarray) -> np.ndarray:
+        return np.clip((at - low) / size * cells, 0, cells - 1).astype(int)
+
+    def add(voxels: np.ndarray, found: np.ndarray) -> None:
+        at = voxels @ to_object[:, :3].T + to_object[:, 3]
+        number = cell_of(at) @ (cells * cells, cells, 1)
+        np.maximum.at(best, number, found)
+        won = found >= best[number]
+        places[number[won]] = at[won]
+
+    corners, tiles = tiles_of(grid)
+    for first in range(0, len(corners), _TILES_TOGETHER):
+        corner = corners[first : first + _TILES_TOGETHER]
+        values = tiles[first : first + _TILES_TOGETHER]
+        if not is_scalar(grid):
+            values = np.abs(values).max(-1)
+        # a tile that lies in one cell counts by its largest value alone
+        ends = (corner[:, None] + (TILE - 1) * CUBE_CORNERS) @ to_object[:, :3].T + to_object[:, 3]
+        in_cells = cell_of(ends)
+        alone = (in_cells.min(1) == in_cells.max(1)).all(1)
+        flat = values[alone].reshape(-1, TILE**3)
+        largest = flat.argmax(1) if len(flat) else np.zeros(0, int)
+        found = flat[np.arange(len(flat)), largest]
+        voxels = corner[alone] + np.stack(np.unravel_index(largest, (TILE,) * 3), 1)
+        add(voxels[found > 0], found[found > 0])
+        tile, *voxel = np.nonzero(values[~alone] > 0)
+        add(corner[~alone][tile] + np.stack(voxel, 1), values[~alone][(tile, *voxel)])
+    return places, best

@@ -18,7 +18,7 @@ from ....scene.features import emits_somewhere, scene_volumes
 from ....scene.linking import links_lights
 from ....scene.passes import light_group_passes
 from ....shading.lights.emitters import EmissiveCells
-from ..bounds import peaks_of
+from ..grids import peaks_of
 from ..table import PART, UNLIKE, EmissionGrid, VolumeData, VolumeLights
 from .aimed import aimed_volumes
 from .estimate import CellBoxes, Estimates, Looked
