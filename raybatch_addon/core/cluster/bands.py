@@ -21,7 +21,7 @@ BAND_PIXELS = 1 << 18
 
 def bands_of(region: Region) -> list[Region]:
     """The bands of `region`, of about equal heights, from the first row on."""
-    x0, y0, x1, y1 = map(int, region)
+    x0, y0, x1, y1 = region
     count = min(max(round((x1 - x0) * (y1 - y0) / BAND_PIXELS), 1), y1 - y0)
     rows = [y0 + (y1 - y0) * i // count for i in range(count + 1)]
     return [(x0, first, x1, end) for first, end in itertools.pairwise(rows)]

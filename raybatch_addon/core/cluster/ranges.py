@@ -35,11 +35,6 @@ class SampleRange:
         """How many there are."""
         return self.end - self.first
 
-    @property
-    def bounds(self) -> tuple[int, int]:
-        """`first` and `end`."""
-        return self.first, self.end
-
 
 class RangeDeal:
     """Deals the samples `first` to `end` - 1 of all bands, in ranges whose sizes follow what samples took so far: in
@@ -132,7 +127,8 @@ class RangeDeal:
         """`samples` in ranges of a task each, to render them again."""
         a_sample = self._sample_seconds
         count = samples.count if a_sample is None else max(1, math.floor(self._task_seconds / a_sample))
-        return [replace(samples, first=i, end=min(i + count, samples.end)) for i in range(*samples.bounds, count)]
+        firsts = range(samples.first, samples.end, count)
+        return [replace(samples, first=first, end=min(first + count, samples.end)) for first in firsts]
 
     def is_late(self, samples: SampleRange, seconds: float) -> bool:
         """Whether a task with `samples` that was begun `seconds` ago should be rendered elsewhere too."""

@@ -283,6 +283,7 @@ def _largest_anywhere_near(octants: np.ndarray) -> np.ndarray:
     near = _largest_around(np.stack([extinction, np.zeros_like(extinction)], -1), _two_largest)
     in_cell = np.partition(extinction.reshape(*own.shape, CELL_POINTS), -2, 3)[..., :-3:-1]
 
+    @functools.cache
     def missing(far: int) -> float:
         most, second = np.moveaxis(_spread(in_cell, np.full(3, far), _two_largest) if far else near, -1, 0)
         above = own - _MARGIN * np.where(own < most, most, second)
@@ -292,8 +293,9 @@ def _largest_anywhere_near(octants: np.ndarray) -> np.ndarray:
     if missing(0) <= _MISSING_MOST:
         return largest
     # what no other point tells of is not found by widening either
-    most = max(_MISSING_MOST, 1.1 * missing(cells))
-    far = next(far for far in [0, *(1 << k for k in range(cells.bit_length())), cells] if missing(far) <= most)
+    most, far = max(_MISSING_MOST, 1.1 * missing(cells)), 0
+    while missing(far) > most:
+        far = min(max(1, 2 * far), cells)
     return _spread(largest, np.full(3, far))
 
 
