@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .layout import COST_PASSES, FIRST_SAMPLE_PASSES, channels_of, mean_costs, sample_counts
+from .layout import COST_PASSES, FIRST_SAMPLE_PASSES, channels_of, mean_costs, sample_counts, shown_first
 from .mattes import Mattes
 from .sums import ExactSums, no_wide
 
@@ -69,4 +69,4 @@ class HostSamples:
     def single(self, pass_names: tuple[str, ...]) -> dict[str, np.ndarray]:
         """Values of the passes that are no means of summed channels, float32, shape [pixels * channels]."""
         costs = mean_costs(self.cost, self.counts) | sample_counts(pass_names, self.counts)
-        return self.first | costs | self.mattes.passes(pass_names, self.counts)
+        return shown_first(self.first) | costs | self.mattes.passes(pass_names, self.counts)

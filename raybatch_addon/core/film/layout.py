@@ -10,6 +10,7 @@ from ..scene.passes import (
     CAUGHT_LIGHT,
     COLOR_PASSES,
     COST_PASSES,
+    DEPTH_OF_NOTHING,
     DIRECT_PASSES,
     FIRST_SAMPLE_PASSES,
     INDIRECT_PASSES,
@@ -86,6 +87,16 @@ def divided_by_color(light: np.ndarray, color: np.ndarray) -> np.ndarray:
     count = there.sum(-1, keepdims=True, dtype=np.float32)
     grey = ratio.sum(-1, keepdims=True, dtype=np.float32) / np.maximum(count, 1)
     return np.where(there, ratio, grey).astype(np.float32)
+
+
+def shown_first(first: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Passes of first samples as they are shown, of what the film keeps of them, both float32. It keeps a depth of 0
+    where a first sample met no surface: it left the scene, a volume scattered it, or it is not there.
+    """
+    if "Depth" not in first:
+        return first
+    depth = first["Depth"]
+    return first | {"Depth": np.where(depth == 0, np.float32(DEPTH_OF_NOTHING), depth)}
 
 
 def mean_costs(cost: dict[str, np.ndarray], counts: np.ndarray) -> dict[str, np.ndarray]:

@@ -17,7 +17,16 @@ from ..native.structs import copied_to, struct_on
 from ..scene.passes import matte_kinds
 from .channels import ChannelLayout
 from .host_samples import HostSamples
-from .layout import COST_PASSES, FIRST_SAMPLE_PASSES, SAMPLE_COUNT, channels_of, mean_costs, sample_counts, shown_pass
+from .layout import (
+    COST_PASSES,
+    FIRST_SAMPLE_PASSES,
+    SAMPLE_COUNT,
+    channels_of,
+    mean_costs,
+    sample_counts,
+    shown_first,
+    shown_pass,
+)
 from .mattes import MatteEntry, Mattes, MatteTile, matte_tile, mattes_on_device
 from .rounding import rounded_sum
 from .sums import WIDE_DIGITS, WINDOW_DIGITS, ExactSums, add_wide, no_wide
@@ -335,7 +344,7 @@ class FinishedTile:
         return combined, normal, others
 
     def _picture(self, pass_names: tuple[str, ...]) -> dict[str, np.ndarray]:
-        shape, single = (self.height, self.width), self._first()
+        shape, single = (self.height, self.width), shown_first(self._first())
         combined, normal, others = (each.numpy() for each in self._resolved())
         means, first = {"Combined": combined, "Normal": normal}, self._layout.others_first
         for name in self._layout.others:

@@ -181,11 +181,6 @@ class SceneFeatures:
         return "Normal" in self.passes
 
     @property
-    def depth_pass(self) -> bool:
-        """Whether the film has the pass Depth."""
-        return "Depth" in self.passes
-
-    @property
     def records_surfaces(self) -> bool:
         """Whether passes show what the first surfaces of paths are, or those behind transparent ones."""
         shown_behind = self.transparency and not {"Depth", "Position", "Normal"}.isdisjoint(self.passes)
@@ -317,7 +312,7 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
         and scene.frame.glass_roughness is not None
         and not SEEN_THROUGH.isdisjoint(kinds),
         passes=tuple(scene.frame.passes),
-        panorama_vectors=surfaces and VECTOR in scene.frame.passes and scene.camera.kind.is_panorama,
+        panorama_vectors=VECTOR in scene.frame.passes and scene.camera.kind.is_panorama,
         sample_sequence=settings.sample_sequence,
         nee=settings.nee,
         mis=settings.is_on("mis") or settings.nee == "OFF",

@@ -22,7 +22,7 @@ SEEN_PASSES = ("Emission", "Environment")
 OCCLUSION_PASS = "Ambient Occlusion"
 # Light that volumes scatter first, over one scattering and over more
 VOLUME_PASSES = ("Volume Direct", "Volume Indirect")
-# Motion in the picture, and what its sum is divided by: the samples that met something
+# Motion in the picture, and what its sum is divided by: the samples that saw a surface or the background
 VECTOR, VECTOR_WEIGHT = "Vector", "Vector Weight"
 # What shadow catchers get of light, over what they would get if nothing else were there; and how dark their shadows lie
 # on what is behind, where Combined has them (`film/caught.py`)

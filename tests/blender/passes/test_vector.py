@@ -97,12 +97,14 @@ def test_vectors_of_panoramas_are_those_of_cycles(scene, tmp_path, monkeypatch, 
     monkeypatch.setattr(test_passes, "SAMPLES", 32)
     moving(scene, True)
     panorama(scene, kind)
-    compare(scene, tmp_path, full_least=0.2)
+    has_rim = kind in ("MIRRORBALL", "FISHEYE_EQUIDISTANT", "FISHEYE_EQUISOLID")  # in pixels with a part of the picture
+    compare(scene, tmp_path, full_least=0.2, background=bpy.app.version >= (5, 2, 0) and not has_rim)
 
 
-def compare(scene, tmp_path, full_least=0.4):
+def compare(scene, tmp_path, full_least=0.4, background=False):
     """Render `scene` by both engines, whose vectors are the same where one object fills a pixel, as it does in this
-    share of them.
+    share of them, and with `background` where none is. (Cycles has no vectors of the background before 5.2, and there
+    those of perspective cameras lack the division by the distance along the view.)
     """
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
     pages = {
@@ -113,6 +115,11 @@ def compare(scene, tmp_path, full_least=0.4):
     # one object fills the pixel in both
     full = np.logical_and.reduce([np.abs(each["CryptoObject00"][..., 2] - 1) < 1e-6 for each in pages.values()])
     assert full.mean() > full_least and np.abs(theirs[full]).max() > 1
+    if background:
+        empty = np.logical_and.reduce([each["CryptoObject00"][..., 2] == 0 for each in pages.values()])
+        empty[:2] = False  # the pole of a panorama may be there
+        assert empty.any() and np.abs(theirs[empty]).max() > 1
+        full |= empty
     difference = np.abs(ours - theirs)[full]
     print(difference.max(), difference.mean(), np.abs(theirs[full]).mean())
     assert (

@@ -3,8 +3,9 @@
 As in Cycles (`kernel/film/denoising_passes.h`): closures that are rough count as diffuse. Where they are more than a
 quarter of a surface, by how often they are sampled, albedo and normal are those of this surface, and the path notes no
 more. Elsewhere the path goes on, and what it meets next counts by the albedo of the smooth closures. Light that is seen
-before the end counts as albedo. Depth is the sum over the way of its parts, each by what it counts; unlike in Cycles
-the world behind everything adds no depth.
+before the end counts as albedo. A volume that scatters the path ends what it notes: it has its albedo there, and a
+normal that looks at the camera. Depth is the sum over the way to surfaces, those around volumes among them, of its
+parts, each by what it counts; unlike in Cycles the world behind everything adds no depth.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from .state import add_channels, is_guided
 _K = ClosureKind
 # Facets with a larger alpha count as diffuse, as in Cycles
 ALPHA_SMOOTH = 0.075
+TOWARDS_CAMERA = -1.0  # z of a normal that looks at the camera, as `PathPasses.to_camera` has it
 _TRANSPARENT = wp.constant(int(_K.TRANSPARENT))
 _RAY_PORTAL = wp.constant(int(_K.RAY_PORTAL))
 _GLASS = wp.constant(int(_K.GLASS))
@@ -41,6 +43,22 @@ def note_seen_light(paths: Paths, path: int, before: wp.vec3):
     carried = passes.carried[path]
     if has_light(carried):
         add_channels(passes, passes.albedo, path, wp.cw_mul(carried, paths.radiance[path] - before))
+
+
+@wp.func
+def note_volume(paths: Paths, path: int, weight: wp.vec3):
+    """Note that a volume scattered the path; `weight`: what its throughput is multiplied by, in the mean over the
+    places where it may scatter the albedo there times the share of light that scatters.
+    """
+    if not is_guided(paths.passes):
+        return
+    passes = paths.passes[0]
+    carried = passes.carried[path]
+    if has_light(carried):
+        mean = (carried[0] + carried[1] + carried[2]) / 3.0
+        add_channels(passes, passes.normal, path, wp.vec3(0.0, 0.0, mean * wp.static(TOWARDS_CAMERA)))
+        add_channels(passes, passes.albedo, path, wp.cw_mul(carried, weight))
+        passes.carried[path] = wp.vec3(0.0)
 
 
 @functools.cache

@@ -9,7 +9,6 @@ import warp as wp
 from ...film.mattes import MatteTile, add_matte
 from ...film.tile import FilmTile
 from ...rays import Rays
-from ...scene.passes import DEPTH_OF_NOTHING
 from ...shading.bsdf.bsdf import ClosureFeatures, make_bsdf
 from ..catchers.copies import is_copy
 from ..rays import Paths
@@ -18,8 +17,8 @@ from ..stages.generate import pixel_sample
 from ..stages.surface.vertex import Vertex
 from ..stages.work import TileWork
 from .colors import ClosuresInView, make_closure_colors
-from .state import PassInputs, add_channels
-from .vectors import make_motion_vector
+from .state import PassInputs, PathPasses, add_channels
+from .vectors import make_motion_vectors
 
 
 @wp.func
@@ -91,20 +90,44 @@ def record_aov(paths: Paths, path: int, passed: int, number: int, value: wp.vec3
 
 
 @wp.func
-def record_background(work: TileWork, paths: Paths, film: FilmTile, path: int):
-    """A path left the scene before it scattered: indices are those of a surface that was transparent no more."""
-    passes = paths.passes[0]
-    if passes.settled.shape[0] > 0 and paths.passed[path] != 0 and passes.settled[path] == 0:
-        pixel = pixel_sample(work, paths.item[path])
-        if pixel.sample == wp.uint32(0):
-            if film.object_index.shape[0] > 0:
-                film.object_index[pixel.index] = 0.0
-            if film.material_index.shape[0] > 0:
-                film.material_index[pixel.index] = 0.0
-            if film.depth.shape[0] > 0:
-                film.depth[pixel.index] = wp.static(DEPTH_OF_NOTHING)
-            if film.position.shape[0] > 0:
-                film.position[pixel.index] = wp.vec3(0.0, 0.0, 0.0)
+def set_motion(passes: PathPasses, path: int, motion: wp.vec4):
+    """Let a sample of the pass Vector be `motion`."""
+    for c in range(4):
+        passes.values[passes.vector + c, path] = motion[c]
+    passes.values[passes.vector_weight, path] = 1.0
+
+
+@functools.cache
+def make_record_background(catchers: bool = False, panoramas: bool = False) -> wp.Function:
+    """Function (work, paths, film, path: int, direction: vec3) for a path that leaves the scene in `direction` before
+    it scattered: indices are those of a surface that was transparent no more, and Vector is how the background moves.
+    With `catchers` copies of paths record nothing. `panoramas`: the pass Vector may be that of a panorama.
+    """
+    motion_of = make_motion_vectors(panoramas).of_background
+
+    @wp.func
+    def record_background(work: TileWork, paths: Paths, film: FilmTile, path: int, direction: wp.vec3):
+        passes = paths.passes[0]
+        if wp.static(catchers):
+            if is_copy(paths, path):
+                return
+        if passes.settled.shape[0] > 0 and paths.passed[path] != 0:
+            if passes.settled[path] != 0:
+                return
+            pixel = pixel_sample(work, paths.item[path])
+            if pixel.sample == wp.uint32(0):
+                if film.object_index.shape[0] > 0:
+                    film.object_index[pixel.index] = 0.0
+                if film.material_index.shape[0] > 0:
+                    film.material_index[pixel.index] = 0.0
+                if film.depth.shape[0] > 0:
+                    film.depth[pixel.index] = 0.0
+                if film.position.shape[0] > 0:
+                    film.position[pixel.index] = wp.vec3(0.0, 0.0, 0.0)
+        if passes.vector >= 0:
+            set_motion(passes, path, motion_of(passes.inputs.vector, direction))
+
+    return record_background
 
 
 @functools.cache
@@ -117,7 +140,7 @@ def make_record_surface(
     nothing. `panoramas`: the pass Vector may be that of a panorama.
     """
     let_through = make_bsdf(features).transparency
-    motion_vector = make_motion_vector(panoramas)
+    motion_of = make_motion_vectors(panoramas).of_surface
     closure_colors = make_closure_colors(features) if colors else None
 
     @wp.func
@@ -159,10 +182,8 @@ def make_record_surface(
                 if passes.uv >= 0:
                     add_channels(passes, passes.uv, path, uv_at(passes.inputs, instance, primitive, barycentric))
                 if passes.vector >= 0:
-                    moved = motion_vector(passes.inputs.vector, instance, primitive, barycentric, v.surface.position)
-                    for c in range(4):
-                        passes.values[passes.vector + c, path] = moved[c]
-                    passes.values[passes.vector_weight, path] = 1.0
+                    moved = motion_of(passes.inputs.vector, instance, primitive, barycentric, v.surface.position)
+                    set_motion(passes, path, moved)
         if wp.static(transparency):
             if passes.settled.shape[0] > 0:
                 passes.settled[path] = settled

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from typing import NamedTuple
 
 import numpy as np
 import warp as wp
@@ -31,9 +32,11 @@ class VectorInputs:
 
 
 @wp.func
-def in_picture(to_picture: wp.mat44, position: wp.vec3) -> wp.vec2:
-    """Where a point is seen [pixels]; 0 where it is not before the camera."""
-    p = to_picture * wp.vec4(position[0], position[1], position[2], 1.0)
+def in_picture(to_picture: wp.mat44, point: wp.vec4) -> wp.vec2:
+    """Where a point is seen [pixels]: a position and 1, or a direction and 0 for what is infinitely far away; 0 where
+    it is not before the camera, and for directions in pictures without perspective.
+    """
+    p = to_picture * point
     seen = wp.vec2(0.0, 0.0)
     if p[3] > 0.0:
         seen = wp.vec2(p[0] / p[3], p[1] / p[3])
@@ -41,9 +44,9 @@ def in_picture(to_picture: wp.mat44, position: wp.vec3) -> wp.vec2:
 
 
 @wp.func
-def in_panorama(vectors: VectorInputs, which: int, position: wp.vec3) -> wp.vec2:
+def in_panorama(vectors: VectorInputs, which: int, point: wp.vec4) -> wp.vec2:
     """`in_picture` of a panorama."""
-    p = vectors.to_picture[which] * wp.vec4(position[0], position[1], position[2], 1.0)
+    p = vectors.to_picture[which] * point
     place = panorama_place_of(
         vectors.panorama, vectors.projection, vectors.projection_more, wp.normalize(wp.vec3(p[0], p[1], p[2]))
     )
@@ -74,35 +77,51 @@ def moved_to(
     return moved
 
 
-@functools.cache
-def make_motion_vector(panoramas: bool) -> wp.Function:
-    """Function (vectors, instance: int, primitive: int, barycentric: vec2, position: vec3) -> vec4: from where a point
-    of a surface is seen to where it is in the frame before, and back to there from where it is in the frame after
-    [pixels], as in Cycles. `panoramas`: the camera may be one.
+class MotionVectors(NamedTuple):
+    """Functions that give a vec4: from where something is seen to where it is in the frame before, and back to there
+    from where it is in the frame after [pixels], as in Cycles.
     """
 
+    of_surface: wp.Function  # (vectors, instance: int, primitive: int, barycentric: vec2, position: vec3)
+    of_background: wp.Function  # (vectors, direction: vec3), of the ray that leaves the scene
+
+
+@functools.cache
+def make_motion_vectors(panoramas: bool) -> MotionVectors:
+    """`panoramas`: the camera may be one."""
+
     @wp.func
-    def seen_at(vectors: VectorInputs, which: int, position: wp.vec3) -> wp.vec2:
+    def seen_at(vectors: VectorInputs, which: int, point: wp.vec4) -> wp.vec2:
         if wp.static(panoramas):
             if vectors.panorama != 0:
-                return in_panorama(vectors, which, position)
-        return in_picture(vectors.to_picture[which], position)
+                return in_panorama(vectors, which, point)
+        return in_picture(vectors.to_picture[which], point)
 
     @wp.func
-    def motion_vector(
+    def motion(vectors: VectorInputs, now: wp.vec4, before: wp.vec4, after: wp.vec4) -> wp.vec4:
+        seen = seen_at(vectors, 0, now)
+        back = seen_at(vectors, 1, before) - seen
+        on = seen - seen_at(vectors, 2, after)
+        return wp.vec4(back[0], back[1], on[0], on[1])
+
+    @wp.func
+    def place(position: wp.vec3) -> wp.vec4:
+        return wp.vec4(position[0], position[1], position[2], 1.0)
+
+    @wp.func
+    def of_surface(
         vectors: VectorInputs, instance: int, primitive: int, barycentric: wp.vec2, position: wp.vec3
     ) -> wp.vec4:
-        now = seen_at(vectors, 0, position)
-        motion = wp.vec4(0.0, 0.0, 0.0, 0.0)
-        for frame in range(2):
-            there = moved_to(vectors, frame, instance, primitive, barycentric, position)
-            seen = seen_at(vectors, 1 + frame, there)
-            sign = 1.0 - 2.0 * float(frame)
-            motion[2 * frame] = sign * (seen[0] - now[0])
-            motion[2 * frame + 1] = sign * (seen[1] - now[1])
-        return motion
+        before = moved_to(vectors, 0, instance, primitive, barycentric, position)
+        after = moved_to(vectors, 1, instance, primitive, barycentric, position)
+        return motion(vectors, place(position), place(before), place(after))
 
-    return motion_vector
+    @wp.func
+    def of_background(vectors: VectorInputs, direction: wp.vec3) -> wp.vec4:
+        far = wp.vec4(direction[0], direction[1], direction[2], 0.0)
+        return motion(vectors, far, far, far)
+
+    return MotionVectors(of_surface, of_background)
 
 
 def upload_vectors(scene: Scene, device: wp.Device) -> VectorInputs:

@@ -13,7 +13,6 @@ from ...film.tile import FilmTile
 from ...rays import Rays
 from ...scene.description import LightKind
 from ...scene.features import narrow
-from ...scene.passes import DEPTH_OF_NOTHING
 from ...scene.program import ProgramFeatures
 from ...shading.lights.choice import ChoiceFeatures, LitPoint, make_light_choice
 from ...shading.lights.hits import LightHitFeatures, make_light_hits
@@ -25,11 +24,10 @@ from ...shading.lights.visibility import is_lit_in_part
 from ...shading.lights.world import world_pdf
 from ..passes.guides import note_seen_light
 from ..passes.light import add_to_group, make_add_light, shows_environment, split_light
-from ..passes.record import record_background
+from ..passes.record import make_record_background
 from ..rays import SHADOW_PASS, Paths, Status, bounce_of, is_clear, left_point, visibility_of
 from ..scene.shading_data import SceneData
 from .emitted import make_world_emission
-from .generate import pixel_sample
 from .limits import PathLimits, clamped
 from .work import TileWork
 
@@ -43,7 +41,6 @@ class BackgroundFeatures:
     world: bool
     film_transparent: bool
     film_glass: bool = False
-    depth_pass: bool
     clamping: bool
     world_program: ProgramFeatures = ProgramFeatures()
     lights: tuple[LightKind, ...] = ()
@@ -55,6 +52,8 @@ class BackgroundFeatures:
     splits_light: bool = False
     records_surfaces: bool = False
     guides: bool = False
+    catchers: bool = False
+    panorama_vectors: bool = False
     light_links: bool = False
     light_groups: bool = False
     light_portals: bool = False
@@ -140,6 +139,9 @@ def make_background(features: BackgroundFeatures) -> wp.Function:
     hit_weight = light_weights(features.mis)[1]
     selection_pdf = make_light_choice(narrow(features, ChoiceFeatures)).pdf
     portals = features.light_portals
+    record_background = None
+    if features.records_surfaces:
+        record_background = make_record_background(features.catchers, features.panorama_vectors)
 
     @wp.func
     def density(lights: LightTable, point: LitPoint, direction: wp.vec3) -> float:
@@ -209,12 +211,7 @@ def make_background(features: BackgroundFeatures) -> wp.Function:
                         split_light(paths, path, light, bounce, False, paths.passes[0].environment)
         if wp.static(features.records_surfaces):
             if bounce == 0 and paths.passes.shape[0] > 0:
-                record_background(work, paths, film, path)
-        if wp.static(features.depth_pass):
-            if bounce == 0 and film.depth.shape[0] > 0:
-                pixel = pixel_sample(work, paths.item[path])
-                if pixel.sample == wp.uint32(0) and film.depth[pixel.index] == 0.0:
-                    film.depth[pixel.index] = wp.static(DEPTH_OF_NOTHING)
+                record_background(work, paths, film, path, rays.direction[path])
         paths.status[path] = status | wp.static(_ENDED)
 
     return background

@@ -29,6 +29,7 @@ from ...shading.volumes.enclosures import FARTHEST
 from ...shading.volumes.numbers import CHANNEL, LENGTH, LIGHTS, LIT_CHANNEL, LIT_LENGTH, piece_dimension, stream_of
 from ...shading.volumes.phase import PhaseLobe
 from ..catchers.copies import is_in_vacuum
+from ..passes.guides import note_seen_light, note_volume
 from ..passes.light import add_to_group, make_add_light
 from ..rays import CAME_BACK, SHADOW_PASS, Paths, Status, bounce_of, left_point, time_of, visibility_of
 from ..scene.shading_data import SceneData
@@ -94,7 +95,10 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
         added = light
         if wp.static(features.clamping):
             added = clamped(limits, light, bounce)
+        before = paths.radiance[path]
         add_light(paths, path, added, bounce, False)
+        if wp.static(features.guides):
+            note_seen_light(paths, path, before)
         if wp.static(features.light_groups):
             add_to_group(paths, path, added, group)
 
@@ -200,7 +204,7 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
         volumes.state.lit[path] = noted
         event = int(0)
         reach = length
-        left = throughput
+        weight = wp.vec3(1.0, 1.0, 1.0)
         medium = Coefficients()
         sent = int(0)
         if not empty:
@@ -264,7 +268,7 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
             event = way.event
             if event != 0:
                 reach = way.length
-            left = wp.cw_mul(throughput, way.weight)
+            weight = way.weight
             emits = has_light(way.emitted)
             group = int(-1)
             if wp.static(features.light_links or features.light_groups):
@@ -289,6 +293,7 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
                         paths.passed[path] = paths.passed[path] + 1
                         volumes.state.lit[path] = noted | wp.static(AIMED)
 
+        left = wp.cw_mul(throughput, weight)
         if wp.static(features.light_hits):
             ahead = Way()
             ahead.begin = begin
@@ -349,6 +354,8 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
                 paths.status[path] = status | wp.static(_ENDED)
             return
         volumes.state.scattered[path] = volumes.state.scattered[path] + 1
+        if wp.static(features.guides):
+            note_volume(paths, path, weight)
         v.dimension = wp.uint32(bounce + passed) * wp.uint32(DIMENSIONS_PER_BOUNCE)
         v.surface.position = origin + reach * direction
         paths.status[path] = sent | scattered(volumes, limits, paths, rays, path, v, left, medium, lobes)

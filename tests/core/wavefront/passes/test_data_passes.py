@@ -7,8 +7,8 @@ import pytest
 
 from raybatch_addon.core.programs import ops  # noqa: F401  (registers ops)
 from raybatch_addon.core.programs.builder import ProgramBuilder
-from raybatch_addon.core.scene.description import CameraKind, Closure, ClosureKind, Frame
-from raybatch_addon.core.scene.passes import AOV_COLOR, AOV_VALUE, SUMMED_PASSES
+from raybatch_addon.core.scene.description import CameraKind, Closure, ClosureKind, Frame, Volume
+from raybatch_addon.core.scene.passes import AOV_COLOR, AOV_VALUE, SUMMED_PASSES, VECTOR
 from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support import scenes
 
@@ -97,6 +97,38 @@ def test_indices_are_0_where_nothing_is_seen(session):
     surface = scenes.material(Closure(ClosureKind.TRANSPARENT, (0.9,) * 3))
     passes = session.render(dataclasses.replace(scene, materials=(surface,)), SETTINGS).passes
     assert not passes["Object Index"].any() and np.all(passes["Depth"] == 1e10)
+
+
+@pytest.mark.parametrize("kind", [CameraKind.PERSPECTIVE, CameraKind.ORTHOGRAPHIC])
+@pytest.mark.parametrize("filled", [False, True])
+def test_vectors_of_the_background_are_those_of_what_is_far_away(session, kind, filled):
+    """Of a camera that goes and turns about its view's axis, by 0.1 before and by 0.2 after. Volumes have none."""
+    still = scenes.camera(eye=(0, 0, 3), up=(0, 1, 0), half_width=0.5)
+    moved = []
+    for angle in (-0.1, 0.2):
+        turned = np.eye(4)
+        turned[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+        turned[:3, 3] = 5 * angle, 0, angle
+        moved.append((np.vstack([still.transform, [0, 0, 0, 1]]) @ turned)[:3])
+    view = dataclasses.replace(still, kind=kind, frames=np.array(moved))
+    size = 8
+    scene = scenes.scene([], view=view, frame=Frame(size, size, passes=("Combined", VECTOR)), world=0.3)
+    if filled:
+        scene = dataclasses.replace(
+            scene,
+            world=dataclasses.replace(
+                scene.world, volume=Volume((Closure(ClosureKind.HENYEY_GREENSTEIN, (9.0,) * 3),))
+            ),
+        )
+    found = session.render(scene, SETTINGS.replace(sample_count=64)).passes[VECTOR]
+    x, y = np.meshgrid(*2 * [np.arange(size) + 0.5 - size / 2])
+    expected = np.zeros((size, size, 4))
+    if kind == CameraKind.PERSPECTIVE and not filled:
+        for i, angle in enumerate((-0.1, 0.2)):
+            there = np.stack([np.cos(angle) * x + np.sin(angle) * y - x, np.cos(angle) * y - np.sin(angle) * x - y], -1)
+            expected[..., 2 * i : 2 * i + 2] = there if i == 0 else -there
+        assert np.abs(expected).max() > 0.5
+    assert found == pytest.approx(expected, abs=0.03)  # means over the pixel
 
 
 def with_aovs(surface, *values):
