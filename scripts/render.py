@@ -55,6 +55,7 @@ Any other name is taken as Blender's own -o does: the frame's number (#### if th
 the file's output format are added, and // at the start is the .blend's folder. Folders are made as needed.
 Without Blender (.npz, .scene.npz): .png, in sRGB without a view transform, or .exr, linear with every pass.
 """
+STRICT_WEIGHTS, STRICT_ALONE = ("missing", "replaced", "setting"), "replaced"
 SETTINGS_HELP = "\n".join(
     [
         "settings of --set (docs/tuning.md has more; bytes may end in K, M, G, T, of 1000, or in Ki, Mi, Gi, Ti, of "
@@ -64,6 +65,15 @@ SETTINGS_HELP = "\n".join(
         *(f"  {name}: {preset.description}" for name, preset in PRESETS.items()),
     ]
 )
+
+
+def with_weight(arguments: list[str]) -> list[str]:
+    """`arguments` with the weight that a `--strict` alone stands for, where FILE is what follows it."""
+    following = [*arguments[1:], ""]
+    return [
+        f"{argument}={STRICT_ALONE}" if argument == "--strict" and after not in STRICT_WEIGHTS else argument
+        for argument, after in zip(arguments, following, strict=True)
+    ]
 
 
 def argument_parser() -> argparse.ArgumentParser:
@@ -89,6 +99,12 @@ def argument_parser() -> argparse.ArgumentParser:
         help="render this view layer only (may be repeated)",
     )
     add(
+        "--multilayer",
+        action="store_true",
+        help="let -o be OpenEXR MultiLayer files: all passes of all view layers, as compositors take them (without\n"
+        "it a .exr of a .blend has the picture alone, unless the file is set to MultiLayer)",
+    )
+    add(
         "--preset",
         metavar="NAME",
         help=f"{', '.join(PRESETS)}: set samples, noise, bounces and denoising, or the whole schedule (all that\n"
@@ -110,9 +126,8 @@ def argument_parser() -> argparse.ArgumentParser:
     )
     add(
         "--strict",
-        nargs="?",
-        const="replaced",
-        choices=("missing", "replaced", "setting"),
+        choices=STRICT_WEIGHTS,
+        metavar="[missing|replaced|setting]",
         help="do not render what would lack something, and end with exit code 3: if a part is missing, if something\n"
         "else stands in for it (--strict alone), or if a setting of Cycles is not heard either",
     )
@@ -210,6 +225,8 @@ def request_from(options: argparse.Namespace) -> Request:
         raise UsageError(
             "nothing would be written: give at least one of -o, --film, --heat-map, --json, --checkpoint, --save-scene"
         )
+    if options.multilayer and not options.out:
+        raise UsageError("--multilayer says what file -o is: give -o FILE.exr too")
     if options.checkpoint_interval and not options.checkpoint:
         raise UsageError("--checkpoint-interval says how often a checkpoint is written: give --checkpoint FILE too")
     assignments = options.set + ([f"device={options.device}"] if options.device else [])
@@ -241,6 +258,7 @@ def request_from(options: argparse.Namespace) -> Request:
         camera=options.camera,
         up=options.up,
         cluster=check_cluster(options.cluster) if options.cluster else "",
+        multilayer=options.multilayer,
         settings_from=(options.settings_from or "").upper(),
         strict=(options.strict or "").upper(),
     )
@@ -319,7 +337,7 @@ def run(options: argparse.Namespace, folders: OutputFolders, standard_output: IO
 
 def main(arguments: list[str] | None = None) -> int:
     """The exit code."""
-    options = argument_parser().parse_args(arguments)
+    options = argument_parser().parse_args(with_weight(sys.argv[1:] if arguments is None else arguments))
     return run_command("render.py", options.verbose, functools.partial(run, options))
 
 

@@ -164,7 +164,7 @@ def _render_read(
     found = missing.keep_found(depsgraph.scene, layer_name, scene.warnings)
     _report_warnings(engine, report, found)
     if bpy.app.background and not scene_listeners:
-        missing.print_notices(found)
+        missing.print_new_notices(found, finals.job)
     for scene_listener in scene_listeners:
         scene_listener(layer_name, scene, settings)
     missing.refuse_what_lacks(depsgraph.scene, found)

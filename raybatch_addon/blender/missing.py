@@ -14,6 +14,9 @@ from . import exit_code
 
 # By names of a scene and a view layer: of the last look, or the last render
 _found: dict[str, dict[str, list[Notice]]] = {}
+# What was written to standard error, and in which of Blender's renders
+_printed: set[Notice] = set()
+_job = 0
 
 
 class Refused(RayBatchError):
@@ -64,6 +67,18 @@ def refuse_what_lacks(scene: bpy.types.Scene, notices: Sequence[Notice]) -> None
         exit_code.end_with(exit_code.REFUSED)
     more = f"; and {len(heavy) - 1} more" if len(heavy) > 1 else ""
     raise Refused(f"not rendered, as nothing may be missing: {heavy[0]}{more}")
+
+
+def print_new_notices(notices: Sequence[Notice], job: int) -> None:
+    """Write those of `notices` to standard error that were not written before in Blender's render number `job`: the
+    frames of an animation mostly lack the same.
+    """
+    global _job
+    if job != _job:
+        _job = job
+        _printed.clear()
+    print_notices([notice for notice in notices if notice not in _printed])
+    _printed.update(notices)
 
 
 def print_notices(notices: Sequence[Notice], start: str = "RayBatch: warning") -> None:

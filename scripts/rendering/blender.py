@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -29,29 +30,14 @@ from raybatch_addon.export.passes import (
     VOLUME_PASS_PROPERTIES,
 )
 from raybatch_addon.export.settings import assign_setting, settings_from
-from raybatch_addon.export.taken_over.take import take_over
+from raybatch_addon.export.taken_over import take
 from rendering.deliveries import FrameDeliveries, FrameFiles
+from rendering.formats import FORMATS, choose_format, picture_formats, set_format, unwritten_passes
 from rendering.imported import import_geometry
 from rendering.progress import ProgressBar
 from rendering.request import BLEND, Request
 from rendering.stops import StopRequests
 from rendering.workshop import Workshop
-
-# Blender's formats by the extension that chooses them; the first one listed is taken
-FORMATS = {
-    ".png": ("PNG",),
-    ".jpg": ("JPEG",),
-    ".jpeg": ("JPEG",),
-    ".exr": ("OPEN_EXR", "OPEN_EXR_MULTILAYER"),
-    ".tif": ("TIFF",),
-    ".tiff": ("TIFF",),
-    ".bmp": ("BMP",),
-    ".tga": ("TARGA", "TARGA_RAW"),
-    ".hdr": ("HDR",),
-    ".webp": ("WEBP",),
-    ".jp2": ("JPEG2000",),
-}
-
 
 FRAME_FIRST = 0  # the first that Blender lets an animation have
 
@@ -68,7 +54,7 @@ class BlenderRender:
         self._films: list[tuple[str, Film]] = []  # of the frame in work, by view layer
         self._statistics: list[dict[str, Any]] = []
         self._scene_saved = False
-        self._shown: set[str] = set()  # messages about the exported scene
+        self._shown: set[str] = set()  # messages about the exported scenes of all frames so far
         self._stops = StopRequests()
         self._is_failed: Callable[[], bool] = lambda: False  # a frame could not be written
 
@@ -82,13 +68,9 @@ class BlenderRender:
             scene = bpy.context.scene
             _choose_view_layers(scene, request.view_layers)
             _ask_for_passes(scene, request.passes)
-            if unwritten := _unwritten_passes(scene, request):
-                print_notes(
-                    [
-                        f"{', '.join(unwritten)}: rendered, but written nowhere; give --film FILE.npz, or let the "
-                        "file's output format be OpenEXR MultiLayer"
-                    ]
-                )
+            choose_format(scene, request)
+            if unwritten := unwritten_passes(scene, request):
+                print_notes([unwritten])
             frames = request.frames or (scene.frame_current,)
             _take_over_settings(scene, request)
             if request.strict:
@@ -98,7 +80,7 @@ class BlenderRender:
                     "--save-scene holds one picture: choose one frame with --frame and one layer with --view-layer"
                 )
             with self._stops:
-                if request.out and scene.render.is_movie_format and not _picture_format(request.out):
+                if request.out and scene.render.is_movie_format and not picture_formats(request.out):
                     self._render_movie(scene, Path(_absolute(request.out)), frames)
                 else:
                     self._render_stills(scene, frames)
@@ -112,6 +94,7 @@ class BlenderRender:
         finally:
             self._bar.close()
             checkpoints.asked = None
+            take.of_command.clear()
         self._report()
 
     def _report(self) -> None:
@@ -133,8 +116,8 @@ class BlenderRender:
         return self._stops.asked() or self._is_failed()
 
     def _on_scene(self, _layer: str, exported: Scene, settings: RenderSettings) -> None:
-        print_warnings(exported.warnings)
-        self._shown = set(exported.warnings)
+        print_warnings(text for text in exported.warnings if text not in self._shown)
+        self._shown.update(exported.warnings)
         if self._request.save_scene and not self._scene_saved:
             save_scene(Path(self._request.save_scene).absolute(), exported, settings)
             self._scene_saved = True
@@ -152,14 +135,12 @@ class BlenderRender:
 
     def _render_stills(self, scene: bpy.types.Scene, frames: tuple[int, ...]) -> None:
         request, many = self._request, len(frames) > 1
-        if request.out and (file_format := _picture_format(request.out)):
-            _set_format(scene, file_format)
         places = [_still_path(scene, request.out, number, many) if request.out else None for number in frames]
         files = [FrameFiles.of(request, number, many, place) for number, place in zip(frames, places, strict=True)]
         for path in {path.parent: path for each in files for path in each.paths}.values():
             self._folders.prepare(path)
         if not request.out:
-            _set_format(scene, FORMATS[".bmp"])  # of pictures that nobody keeps
+            set_format(scene, FORMATS[".bmp"])  # of pictures that nobody keeps
         with FrameDeliveries(request, files, self._bar, self._films, self._stops.asked) as deliveries:
             self._is_failed = lambda: deliveries.failure is not None
             scene.render.filepath = deliveries.output
@@ -230,7 +211,8 @@ def _open(request: Request) -> None:
         try:
             bpy.ops.wm.open_mainfile(filepath=str(request.source.absolute()), load_ui=False)
         except RuntimeError as error:
-            raise SceneError(f"{request.source} cannot be opened: {_one_line(error)}") from None
+            why = re.sub(r"^Cannot read file .*?: ", "", _one_line(error))  # its name is said already
+            raise SceneError(f"{request.source} cannot be opened: {why}") from None
     else:
         if request.frames is not None or request.view_layers:
             raise UsageError(
@@ -255,31 +237,19 @@ def _choose_view_layers(scene: bpy.types.Scene, names: tuple[str, ...]) -> None:
 def _take_over_settings(scene: bpy.types.Scene, request: Request) -> None:
     """The settings of another engine, where asked for, and those of the command line on top of them."""
     if request.settings_from:
-        changed = take_over(scene, request.settings_from)
-        print_notes(each.taken(request.settings_from) for each in changed)
+        changed = take.take_over(scene, request.settings_from)
+        print_notes(each.taken(request.settings_from) for each in changed if each.setting not in request.settings)
     _apply_settings(scene, request)
 
 
 def _apply_settings(scene: bpy.types.Scene, request: Request) -> None:
+    take.of_command.update(request.settings)
     for name, value in request.settings.items():
         assign_setting(scene.raybatch, name, value)
     settings_from(scene)  # values that do not go together are reported before the render
     if request.resolution:
         scene.render.resolution_x, scene.render.resolution_y = request.resolution
         scene.render.resolution_percentage = 100
-
-
-def _unwritten_passes(scene: bpy.types.Scene, request: Request) -> list[str]:
-    """Passes that were asked for, and that neither a file nor the compositor will hold."""
-    extension = os.path.splitext(request.out or "")[1].lower()
-    layered = scene.render.image_settings.file_format == "OPEN_EXR_MULTILAYER" and extension in ("", ".exr")
-    composited = scene.render.use_compositing and (
-        getattr(scene, "compositing_node_group", None) or getattr(scene, "node_tree", None)
-    )
-    if request.film or layered or composited:
-        return []
-    heated = {name for name, _ in request.heat_maps}
-    return [name for name in request.passes if name not in heated]
 
 
 def _ask_for_passes(scene: bpy.types.Scene, names: tuple[str, ...]) -> None:
@@ -305,21 +275,6 @@ def _ask_for_passes(scene: bpy.types.Scene, names: tuple[str, ...]) -> None:
                 layer.pass_cryptomatte_depth = max(layer.pass_cryptomatte_depth, *levels)
 
 
-def _picture_format(out: str) -> tuple[str, ...]:
-    """The formats that the extension of `out` stands for; empty if it has none that is known."""
-    return FORMATS.get(os.path.splitext(out)[1].lower(), ())
-
-
-def _set_format(scene: bpy.types.Scene, formats: tuple[str, ...]) -> None:
-    """Take the first of `formats`, unless the file has one of them already."""
-    image = scene.render.image_settings
-    if image.file_format in formats:
-        return
-    if hasattr(image, "media_type"):
-        image.media_type = "IMAGE"
-    image.file_format = formats[0]
-
-
 def _absolute(out: str) -> str:
     """`out` from the current folder, or from the .blend's where it begins with `//` as Blender has it."""
     return os.path.abspath(bpy.path.abspath(out) if out.startswith("//") else out)
@@ -328,9 +283,9 @@ def _absolute(out: str) -> str:
 def _still_path(scene: bpy.types.Scene, out: str, number: int, many: bool) -> Path:
     """The file of frame `number`: as Blender names it, except that a picture's full name is taken as it is."""
     path = _absolute(out) + (os.sep if out.endswith(("/", os.sep)) else "")
-    if _picture_format(out) and ("#" in os.path.basename(out) or not many):
+    if picture_formats(out) and ("#" in os.path.basename(out) or not many):
         return numbered(path, number, many)
-    if _picture_format(out):
+    if picture_formats(out):
         stem, extension = os.path.splitext(path)
         return Path(f"{stem}{number:04d}{extension}")
     before = scene.render.filepath

@@ -55,6 +55,7 @@ class Request:
     camera: str | None = None
     up: str | None = None
     settings_from: str = ""  # CYCLES or EEVEE: take over that engine's settings first
+    multilayer: bool = False  # `out` is an OpenEXR file with all layers and passes
     strict: str = ""  # name of a `Weight`: what weighs so much may not be missing
 
     @property

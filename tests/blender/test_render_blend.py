@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import OpenEXR
 import pytest
 from PIL import Image
 
@@ -132,6 +133,45 @@ def test_passes_that_no_file_will_hold_are_named(blend, tmp_path):
     assert done.returncode == 0 and "Normal: rendered, but written nowhere; give --film" in done.stderr
     done = call_script("render.py", blend, *depth, "--film", tmp_path / "a.npz")
     assert done.returncode == 0 and "written nowhere" not in done.stderr
+
+
+def test_openexr_has_the_picture_or_all_layers_and_passes(addon, tmp_path):
+    """Of a file that is set to PNG: what a .exr leaves out is said, and with --multilayer nothing is."""
+    blend = make_scene(tmp_path / "two.blend", "layers")
+    for out, more in (("a.exr", ()), ("b.exr", ["--multilayer"]), ("c_", ["--multilayer"])):
+        done = call_script("render.py", blend, "-o", tmp_path / out, *more, "--passes", "normal")
+        assert done.returncode == 0, done.stderr
+        assert ("Normal, Depth: rendered, but written nowhere" in done.stderr) == (not more)
+    channels = {}
+    for name in ("a.exr", "b.exr", "c_0002.exr"):
+        with OpenEXR.File(str(tmp_path / name), separate_channels=True) as file:
+            channels[name] = {channel for part in file.parts for channel in part.channels}
+    assert channels["a.exr"] <= set("RGBA") and channels["b.exr"] == channels["c_0002.exr"]
+    assert {"ViewLayer.Normal.X", "Empty.Normal.X", "Empty.Depth.Z", "Empty.Combined.R"} <= {
+        each.replace("Depth.V", "Depth.Z") for each in channels["b.exr"]
+    }
+    assert "--multilayer writes OpenEXR files" in error_line(
+        call_script("render.py", blend, "-o", tmp_path / "d.png", "--multilayer")
+    )
+
+
+def test_a_png_of_a_file_that_is_set_to_openexr_has_eight_bits(addon, tmp_path):
+    blend = make_scene(tmp_path / "one.blend")
+    image = bpy.context.scene.render.image_settings
+    image.file_format, image.color_depth = "OPEN_EXR", "32"
+    bpy.ops.wm.save_mainfile()
+    run(blend, "-o", tmp_path / "a.png")
+    assert (tmp_path / "a.png").read_bytes()[24] == 8  # of IHDR
+
+
+def test_what_is_taken_over_is_not_said_of_settings_of_the_command_line(addon, tmp_path):
+    blend = make_scene(tmp_path / "one.blend")
+    bpy.context.scene.cycles.samples, bpy.context.scene.cycles.max_bounces = 123, 5
+    bpy.ops.wm.save_mainfile()
+    done = call_script(
+        "render.py", blend, "-o", tmp_path / "a.png", "--settings-from", "cycles", "--set", "sample_count=2"
+    )
+    assert done.returncode == 0 and "123" not in done.stderr and "5, as in Cycles" in done.stderr
 
 
 def test_settings_of_the_schedule_and_passes_that_show_cost(blend, tmp_path):

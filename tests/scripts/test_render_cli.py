@@ -296,6 +296,21 @@ def test_a_preset_comes_before_single_settings(sheet, tmp_path):
     )
 
 
+@pytest.mark.parametrize(
+    ("arguments", "weight"),
+    [
+        (["--strict", "a.blend"], "replaced"),
+        (["a.blend", "--strict"], "replaced"),
+        (["--strict", "--json", "-", "a.blend"], "replaced"),
+        (["--strict", "missing", "a.blend"], "missing"),
+        (["a.blend", "--strict=setting"], "setting"),
+    ],
+)
+def test_strict_does_not_take_the_file_for_its_weight(arguments, weight):
+    options = render.argument_parser().parse_args(render.with_weight(arguments))
+    assert (options.strict, str(options.file)) == (weight, "a.blend")
+
+
 def test_the_help_lists_every_setting_and_preset():
     text = render.argument_parser().format_help()
     for name in (*SETTINGS, *PRESETS):

@@ -140,16 +140,16 @@ def block_registers(register_cap: int, block_size: int) -> int:
 
 
 def setting_info(name: str, beside: Iterable[str] = ()) -> SettingInfo:
-    """The `SettingInfo` of `name`; raises `SettingsError` that names the closest ones, and lists all, those `beside`
-    the settings too.
+    """The `SettingInfo` of `name`; raises `SettingsError` that names the closest ones, or all if none is
+    close, those `beside` the settings too.
     """
     try:
         return SETTINGS[name]
     except KeyError:
         names = sorted((*SETTINGS, *beside))
         close = difflib.get_close_matches(name.lower().replace("-", "_"), names)
-        hint = f"did you mean {' or '.join(close)}? The" if close else "the"
-        raise SettingsError(f"no setting is called {name!r}; {hint} settings are {', '.join(names)}") from None
+        hint = f"did you mean {' or '.join(close)}?" if close else f"the settings are {', '.join(names)}"
+        raise SettingsError(f"no setting is called {name!r}; {hint}") from None
 
 
 def parse_setting(name: str, text: str, beside: Iterable[str] = ()) -> Any:

@@ -66,7 +66,7 @@ def neighbours(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer, view: Vi
         return None
     if scene.render.use_motion_blur:
         text = f"scene “{scene.name}”: with motion blur the pass Vector shows no motion, as in Cycles"
-        warnings.append(Notice(text, Weight.SETTING, remedy="turn off Motion Blur, or the pass"))
+        warnings.append(Notice(text, Weight.REPAIRED, remedy="turn off Motion Blur, or the pass"))
         return None
     frame = scene.frame_current + scene.frame_subframe
     return Exposure(view, frame, frame, 2.0, scene.render.fps / scene.render.fps_base)

@@ -9,6 +9,7 @@ import bpy
 
 from ...core.scene.notice import Notice, Weight
 from ...core.settings.settings import SETTINGS, SettingInfo
+from ..asked import asked
 from ..settings import assign_setting, engine_settings, exposure_of, settings_from
 from .rows import CYCLES, EEVEE, ROWS
 
@@ -22,6 +23,10 @@ _OF_FILE = {EXPOSURE: "Exposure", MATERIAL_OUTPUT: "Material Output"}
 _OF_KINDS = ("diffuse_bounce_max", "glossy_bounce_max", "transmission_bounce_max", "volume_bounce_max")
 # Those that count only where pictures are denoised
 _OF_DENOISING = {"denoise_inputs", "denoise_prefilter", "denoise_quality"}
+
+
+# Names of settings that the command gives which opens the file, beside those of `asked`
+of_command: set[str] = set()
 
 
 @dataclass(frozen=True)
@@ -97,8 +102,9 @@ def passed_over_settings(scene: bpy.types.Scene) -> list[Notice]:
     """A notice of what someone chose in Cycles' settings and is another way here."""
     if not hasattr(scene, "raybatch"):
         return []
-    # another seed is another noise alone
-    found = [each for each in differences(scene, CYCLES, chosen=True) if each.setting != "seed"]
+    # another seed is another noise alone, and of what a command line gives its user knows
+    known = {"seed", *asked().settings, *of_command}
+    found = [each for each in differences(scene, CYCLES, chosen=True) if each.setting not in known]
     if not found:
         return []
     reported = "; ".join(each.text(CYCLES) for each in found)

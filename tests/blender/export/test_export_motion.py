@@ -6,6 +6,7 @@ import pytest
 
 from raybatch_addon.blender import frame
 from raybatch_addon.core.errors import RayBatchError
+from raybatch_addon.core.scene.notice import Weight
 from raybatch_addon.export.motion.shutter import Exposure
 from tests.support.blender_builders import add_grid, add_object
 
@@ -136,6 +137,13 @@ def test_what_stands_still_has_no_maps_of_other_times(scene, what):
     assert len(got) > 20 and len(moved.instance) == 1
     steps = 2 if what == "Vector" else 3
     assert moved.maps.shape == (1, steps, 3, 4) and moved.maps[0, 0, 0, 3] < got.transform[moved.instance[0], 0, 3]
+
+
+def test_vectors_with_motion_blur_are_reported_but_nothing_that_cycles_would_show(blurred):
+    """`strict` lets them pass."""
+    blurred.view_layers[0].use_pass_vector = True
+    (notice,) = (each for each in rendered_scene().warnings if "the pass Vector" in each)
+    assert notice.weight == Weight.REPAIRED < Weight.SETTING
 
 
 def test_what_is_not_there_all_the_time_stands_still(blurred):

@@ -90,7 +90,7 @@ def record_aov(paths: Paths, path: int, passed: int, number: int, value: wp.vec3
 
 
 @wp.func
-def set_motion(passes: PathPasses, path: int, motion: wp.vec4):
+def note_motion(passes: PathPasses, path: int, motion: wp.vec4):
     """Let a sample of the pass Vector be `motion`."""
     for c in range(4):
         passes.values[passes.vector + c, path] = motion[c]
@@ -125,7 +125,7 @@ def make_record_background(catchers: bool = False, panoramas: bool = False) -> w
                 if film.position.shape[0] > 0:
                     film.position[pixel.index] = wp.vec3(0.0, 0.0, 0.0)
         if passes.vector >= 0:
-            set_motion(passes, path, motion_of(passes.inputs.vector, direction))
+            note_motion(passes, path, motion_of(passes.inputs.vector, direction))
 
     return record_background
 
@@ -183,7 +183,7 @@ def make_record_surface(
                     add_channels(passes, passes.uv, path, uv_at(passes.inputs, instance, primitive, barycentric))
                 if passes.vector >= 0:
                     moved = motion_of(passes.inputs.vector, instance, primitive, barycentric, v.surface.position)
-                    set_motion(passes, path, moved)
+                    note_motion(passes, path, moved)
         if wp.static(transparency):
             if passes.settled.shape[0] > 0:
                 passes.settled[path] = settled
