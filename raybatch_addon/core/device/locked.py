@@ -13,6 +13,7 @@ import ctypes
 import functools
 import math
 import sys
+import weakref
 from collections.abc import Iterator
 from typing import Any
 
@@ -31,8 +32,11 @@ _CALLS = (
     "cuCtxPopCurrent_v2",
     "cuCtxSynchronize",
 )
-# Bytes from which on memory is registered: less is had soon enough
+# Bytes from which on new memory is registered: less is had soon enough
 _REGISTERED_LEAST = 1 << 22
+# Bytes from which on an array has pages of memory of its own, as systems place it. A smaller one shares pages with
+# others, whose copies would return before they are over, and the pages would be given back under these
+OWN_PAGES_LEAST = 1 << 26
 _ALIGNMENT = 4096
 _still_locked: list[np.ndarray] = []  # that the driver did not give back
 
@@ -69,12 +73,12 @@ def locked_empty(shape: int | tuple[int, ...], dtype: type, hurry: bool = True) 
 
 def locked_view(values: np.ndarray, dtype: type, device: wp.Device) -> wp.array | None:
     """`values`, contiguous, as an array of the CUDA device `device`, which reads them where they lie, or of the CPU;
-    None where the driver cannot lock them.
+    None where they are small, or the driver cannot lock them.
 
-    They are locked as long as the array lives, and must not be locked otherwise.
+    They are locked as long as such an array lives: several devices may ask for one at the same time.
     """
     driver = _driver()
-    if driver is None or values.size == 0:
+    if driver is None or values.nbytes < OWN_PAGES_LEAST:
         return None
     shape = (values.nbytes // wp.types.type_size_in_bytes(dtype),)
     return _registered(driver, values, dtype, shape, device)
@@ -82,22 +86,49 @@ def locked_view(values: np.ndarray, dtype: type, device: wp.Device) -> wp.array 
 
 def _registered(driver: Any, memory: np.ndarray, dtype: type, shape: tuple[int, ...], device: wp.Device):
     """`memory` registered with the driver, as an array of `device`; None where that cannot be."""
-    pointer, size = memory.ctypes.data, memory.nbytes
-    with _context(driver):
-        if driver.cuMemHostRegister_v2(ctypes.c_void_p(pointer), ctypes.c_size_t(size), _REGISTER_FLAGS) != 0:
+    place = memory.ctypes.data, memory.nbytes
+    held = _registrations.get(place)
+    if held is None:
+        try:
+            held = _registrations[place] = _Registration(driver, memory)
+        except OSError:
             return None
+    return wp.array(
+        ptr=place[0],
+        dtype=dtype,
+        shape=shape,
+        device=device,
+        pinned=device.is_cpu,
+        deleter=lambda pointer, size, kept=held: None,
+    )
 
-    def give_back(*_: Any, kept: np.ndarray = memory) -> None:
+
+class _Registration:
+    """Memory that is registered with the driver as long as this lives."""
+
+    def __init__(self, driver: Any, memory: np.ndarray) -> None:
+        """Raises `OSError` where the driver does not take `memory`, as where a part of it is registered already."""
+        pointer, size = ctypes.c_void_p(memory.ctypes.data), ctypes.c_size_t(memory.nbytes)
+        with _context(driver):
+            if (code := driver.cuMemHostRegister_v2(pointer, size, _REGISTER_FLAGS)) != 0:
+                raise OSError(f"the driver does not register memory: error {code}")
+        self._driver, self._memory, self._pointer = driver, memory, pointer
+
+    def __del__(self) -> None:
+        if not hasattr(self, "_pointer"):
+            return
         # at the end of the program there may be nothing left to ask
         with contextlib.suppress(Exception):
             for each in wp.get_cuda_devices():  # any of them may still read it
-                with _context(driver, each):
-                    driver.cuCtxSynchronize()
-            with _context(driver):
-                if driver.cuMemHostUnregister(ctypes.c_void_p(pointer)) != 0:
-                    _still_locked.append(kept)
+                with _context(self._driver, each):
+                    self._driver.cuCtxSynchronize()
+            with _context(self._driver):
+                if self._driver.cuMemHostUnregister(self._pointer) != 0:
+                    _still_locked.append(self._memory)
 
-    return wp.array(ptr=pointer, dtype=dtype, shape=shape, device=device, pinned=device.is_cpu, deleter=give_back)
+
+# By address and size [bytes]. One that is about to end is not found any more: then memory is not locked a second time
+_registrations: weakref.WeakValueDictionary[tuple[int, int], _Registration] = weakref.WeakValueDictionary()
 
 
 @contextlib.contextmanager

@@ -6,7 +6,7 @@ import warp as wp
 
 from raybatch_addon.core.device import bulk
 from raybatch_addon.core.device.bulk import add_rows, column_bounds, copy_rows, digest_of, in_slices, take_rows
-from raybatch_addon.core.device.locked import locked_empty, locked_view
+from raybatch_addon.core.device.locked import OWN_PAGES_LEAST, locked_empty, locked_view
 from tests.support.under_test import DEVICE
 
 
@@ -87,10 +87,16 @@ def test_locked_memory_is_read_and_written_by_the_device(size):
 @pytest.mark.skipif(DEVICE == "cpu", reason="memory is locked for a CUDA device")
 def test_arrays_of_the_host_are_read_by_the_device_where_they_lie():
     device = wp.get_device(DEVICE)
-    values = np.random.default_rng(0).random((1_000_003, 3), np.float32)
+    assert locked_view(np.zeros((1000, 3), np.float32), wp.vec3, device) is None, "it shares pages with others"
+    values = np.random.default_rng(0).random((OWN_PAGES_LEAST // 12 + 1, 3), np.float32)
     for _ in range(2):  # the first lock was given back
         there = locked_view(values, wp.vec3, device)
         copied = wp.empty_like(there)
         wp.copy(copied, there)
         assert np.array_equal(copied.numpy(), values)
+        second = locked_view(values, wp.vec3, device)  # as for another device
         del there
+        copied.zero_()
+        wp.copy(copied, second)
+        assert np.array_equal(copied.numpy(), values)
+        del second
