@@ -26,7 +26,6 @@ from .precompiled_header import share_precompiled_header
 from .ready import write_notes
 
 _warp_lock = threading.Lock()
-_default_lock = threading.RLock()
 # Warp's native code prints lines that begin so where there is no CUDA driver, or a driver without a device that it may
 # use, whatever its log level is. That is no fault: `find_device` says which devices there are.
 _NO_CUDA = (
@@ -142,13 +141,6 @@ def find_devices(names: str) -> list[wp.Device]:
 def is_alike(device: wp.Device, other: wp.Device) -> bool:
     """Whether both are of one model, so that they render the same bits."""
     return device.is_cuda == other.is_cuda and (device.is_cpu or (device.name, device.arch) == (other.name, other.arch))
-
-
-@contextlib.contextmanager
-def by_default_on(device: wp.Device) -> Iterator[None]:
-    """Inside, Warp means `device` where none is named. All threads share that one: others wait here meanwhile."""
-    with _default_lock, wp.ScopedDevice(device):
-        yield
 
 
 def one_of_each_kind() -> list[wp.Device]:

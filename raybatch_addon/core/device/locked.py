@@ -13,8 +13,9 @@ import ctypes
 import functools
 import math
 import sys
-import weakref
+import threading
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,19 @@ _REGISTERED_LEAST = 1 << 22
 # others, whose copies would return before they are over, and the pages would be given back under these
 OWN_PAGES_LEAST = 1 << 26
 _ALIGNMENT = 4096
+
+
+@dataclass
+class _Registration:
+    """Memory that is registered with the driver, and how many arrays there are of it."""
+
+    memory: np.ndarray
+    users: int = 0
+
+
+# By address and size [bytes]; who asks for one waits meanwhile until another is made or given back
+_registrations: dict[tuple[int, int], _Registration] = {}
+_asking_driver = threading.RLock()
 _still_locked: list[np.ndarray] = []  # that the driver did not give back
 
 
@@ -87,48 +101,34 @@ def locked_view(values: np.ndarray, dtype: type, device: wp.Device) -> wp.array 
 def _registered(driver: Any, memory: np.ndarray, dtype: type, shape: tuple[int, ...], device: wp.Device):
     """`memory` registered with the driver, as an array of `device`; None where that cannot be."""
     place = memory.ctypes.data, memory.nbytes
-    held = _registrations.get(place)
-    if held is None:
-        try:
-            held = _registrations[place] = _Registration(driver, memory)
-        except OSError:
-            return None
-    return wp.array(
-        ptr=place[0],
-        dtype=dtype,
-        shape=shape,
-        device=device,
-        pinned=device.is_cpu,
-        deleter=lambda pointer, size, kept=held: None,
-    )
+    with _asking_driver:
+        held = _registrations.get(place)
+        if held is None:
+            pointer, size = ctypes.c_void_p(memory.ctypes.data), ctypes.c_size_t(memory.nbytes)
+            with _context(driver):
+                if driver.cuMemHostRegister_v2(pointer, size, _REGISTER_FLAGS) != 0:
+                    return None
+            held = _registrations[place] = _Registration(memory)
+        held.users += 1
 
-
-class _Registration:
-    """Memory that is registered with the driver as long as this lives."""
-
-    def __init__(self, driver: Any, memory: np.ndarray) -> None:
-        """Raises `OSError` where the driver does not take `memory`, as where a part of it is registered already."""
-        pointer, size = ctypes.c_void_p(memory.ctypes.data), ctypes.c_size_t(memory.nbytes)
-        with _context(driver):
-            if (code := driver.cuMemHostRegister_v2(pointer, size, _REGISTER_FLAGS)) != 0:
-                raise OSError(f"the driver does not register memory: error {code}")
-        self._driver, self._memory, self._pointer = driver, memory, pointer
-
-    def __del__(self) -> None:
-        if not hasattr(self, "_pointer"):
-            return
+    def let_go(*_: Any) -> None:
         # at the end of the program there may be nothing left to ask
-        with contextlib.suppress(Exception):
-            for each in wp.get_cuda_devices():  # any of them may still read it
-                with _context(self._driver, each):
-                    self._driver.cuCtxSynchronize()
-            with _context(self._driver):
-                if self._driver.cuMemHostUnregister(self._pointer) != 0:
-                    _still_locked.append(self._memory)
+        with contextlib.suppress(Exception), _asking_driver:
+            held.users -= 1
+            if not held.users:
+                _give_back(driver, _registrations.pop(place).memory)
+
+    return wp.array(ptr=place[0], dtype=dtype, shape=shape, device=device, pinned=device.is_cpu, deleter=let_go)
 
 
-# By address and size [bytes]. One that is about to end is not found any more: then memory is not locked a second time
-_registrations: weakref.WeakValueDictionary[tuple[int, int], _Registration] = weakref.WeakValueDictionary()
+def _give_back(driver: Any, memory: np.ndarray) -> None:
+    """Let the driver unlock `memory`."""
+    for each in wp.get_cuda_devices():  # any of them may still read it
+        with _context(driver, each):
+            driver.cuCtxSynchronize()
+    with _context(driver):
+        if driver.cuMemHostUnregister(ctypes.c_void_p(memory.ctypes.data)) != 0:
+            _still_locked.append(memory)
 
 
 @contextlib.contextmanager

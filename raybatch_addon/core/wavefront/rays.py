@@ -15,7 +15,6 @@ from enum import IntFlag
 import warp as wp
 
 from ..bvh.tree import TRAIL_LEVELS, TopProgress
-from ..device.devices import by_default_on
 from ..rays import Rays
 from ..scene.description import Visibility
 from ..scene.features import SceneFeatures
@@ -317,10 +316,9 @@ def trail_words(levels: int) -> int:
 def allocate_progress(count: int, words: int, instancing: bool, device: wp.Device) -> TopProgress:
     """`TopProgress` of `count` rays with trails of `words` words."""
     progress = TopProgress()
-    with by_default_on(device):
-        progress.trail = wp.zeros((words, count), dtype=wp.uint32)
-        progress.entry = wp.zeros(count if instancing else 0, dtype=int)
-        progress.visits = wp.zeros(1, dtype=wp.int64)
+    progress.trail = wp.zeros((words, count), dtype=wp.uint32, device=device)
+    progress.entry = wp.zeros(count if instancing else 0, dtype=int, device=device)
+    progress.visits = wp.zeros(1, dtype=wp.int64, device=device)
     return progress
 
 

@@ -16,7 +16,6 @@ from collections.abc import Callable
 import numpy as np
 import warp as wp
 
-from ...device.devices import by_default_on
 from ...device.kernel import KERNEL_OPTIONS
 from ..tree import Treelets
 from .address_ring import AddressRing
@@ -92,12 +91,11 @@ class Residency:
         self._bytes_always = scene.resident_bytes + staging_bytes_of(scene, self.slot_count, device)
         self.bytes_peak = self._bytes_always  # of geometry on the device at most
 
-        with by_default_on(device):
-            self._tables = (
-                wp.array(np.asarray(scene.treelet_page, np.int32), dtype=int),
-                wp.array(np.asarray(scene.treelet_node_byte, np.int64), dtype=wp.int64),
-                wp.array(np.asarray(scene.treelet_triangle_byte, np.int64), dtype=wp.int64),
-            )
+        self._tables = (
+            wp.array(np.asarray(scene.treelet_page, np.int32), dtype=int, device=device),
+            wp.array(np.asarray(scene.treelet_node_byte, np.int64), dtype=wp.int64, device=device),
+            wp.array(np.asarray(scene.treelet_triangle_byte, np.int64), dtype=wp.int64, device=device),
+        )
 
     def __del__(self):
         # the last to know it may be a thread that reads

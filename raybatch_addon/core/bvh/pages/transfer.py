@@ -21,7 +21,6 @@ from typing import Protocol
 import numpy as np
 import warp as wp
 
-from ...device.devices import by_default_on
 from ...errors import OutOfMemoryError
 from .paged_scene import PagedScene
 from .store import bytes_of_rows, padded, page_buffer
@@ -252,7 +251,7 @@ def copy_stream(alias: str) -> wp.Stream:
     """
     non_blocking = 1  # CU_STREAM_NON_BLOCKING of the driver
     device = wp.get_device(alias)
-    with contextlib.suppress(OSError, AttributeError), by_default_on(device):
+    with contextlib.suppress(OSError, AttributeError), device.context_guard:
         driver = ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
         handle = ctypes.c_void_p()
         if driver.cuStreamCreate(ctypes.byref(handle), ctypes.c_uint(non_blocking)) == 0 and handle.value:

@@ -7,7 +7,6 @@ from enum import IntEnum
 import numpy as np
 import warp as wp
 
-from ...device.devices import by_default_on
 from ...film.channels import ChannelLayout
 from ...scene.description import Scene
 from ...scene.features import SceneFeatures
@@ -87,12 +86,11 @@ def allocate_caught(
     for name in layout.others:
         if name in (*DIRECT_PASSES, *INDIRECT_PASSES, *VOLUME_PASSES) or name.startswith(LIGHT_GROUP):
             of_light[first(name) : first(name) + channels_of(name)] = 1
-    with by_default_on(device):
-        for name in (*_OF_PATHS, *_OF_TRANSPARENCY):
-            count = path_count if features.transparency or name in _OF_PATHS else 0
-            setattr(caught, name, wp.zeros(count, dtype=CaughtPaths.vars[name].type.dtype))
-        caught.values = wp.zeros((layout.others_count, path_count), dtype=float)
-        caught.of_light = wp.array(of_light, dtype=int)
+    for name in (*_OF_PATHS, *_OF_TRANSPARENCY):
+        count = path_count if features.transparency or name in _OF_PATHS else 0
+        setattr(caught, name, wp.zeros(count, dtype=CaughtPaths.vars[name].type.dtype, device=device))
+    caught.values = wp.zeros((layout.others_count, path_count), dtype=float, device=device)
+    caught.of_light = wp.array(of_light, dtype=int, device=device)
     caught.is_catcher = is_catcher
     caught.caught, caught.copied, caught.coverage = map(first, (CAUGHT_LIGHT, CATCHER_LIGHT, CATCHER_ALPHA))
     caught.behind, caught.environment = first(CAUGHT_WORLD), first("Environment")

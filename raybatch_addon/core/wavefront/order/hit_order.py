@@ -16,7 +16,6 @@ from enum import Enum
 
 import warp as wp
 
-from ...device.devices import by_default_on
 from ...device.kernel import KERNEL_OPTIONS
 from ...measure.timing import NoTimer, StageTimer
 from ...rays import RayList, Rays
@@ -130,10 +129,9 @@ class HitOrder:
         self._capacity = capacity = min(path_count, capacity or SORTED_MAX)
         part = self._part = HitPart()
         part.shift = max(0, (geometry.positions.size // 3).bit_length() - HitKey.TRIANGLE.value)
-        with by_default_on(device):
-            part.count = wp.zeros(1, dtype=int)
-            part.keys = wp.zeros(2 * capacity, dtype=wp.uint32)
-            part.slots = wp.zeros(2 * capacity, dtype=int)
+        part.count = wp.zeros(1, dtype=int, device=device)
+        part.keys = wp.zeros(2 * capacity, dtype=wp.uint32, device=device)
+        part.slots = wp.zeros(2 * capacity, dtype=int, device=device)
 
     def parts(self, rays: Rays, hits: RayList) -> Iterator[RayList]:
         """The paths of `hits` in lists that follow their keys, each valid until the next is asked for."""

@@ -7,7 +7,6 @@ from collections.abc import Iterable
 import numpy as np
 import warp as wp
 
-from ...device.devices import by_default_on
 from ...film.channels import ChannelLayout
 from ...film.mattes import MatteEntry
 from ...programs.inputs_data import corner_values
@@ -144,17 +143,16 @@ def make_path_passes(
     passes = PathPasses()
     split, shadow = features.splits_light, features.splits_light and features.shadow_rays
     settles = features.records_surfaces and features.transparency
-    with by_default_on(device):
-        passes.values = wp.zeros((layout.others_count, path_count), dtype=float)
-        passes.share = wp.zeros(path_count if split else 0, dtype=wp.vec4)
-        passes.shadow_share = wp.zeros(path_count if shadow else 0, dtype=wp.vec4)
-        grouped = features.light_groups and features.shadow_rays
-        passes.life = wp.zeros(path_count if features.catchers else 0, dtype=int)
-        passes.shadow_group = wp.zeros(path_count if grouped else 0, dtype=int)
-        passes.carried = wp.zeros(path_count if features.guides else 0, dtype=wp.vec3)
-        passes.settled = wp.zeros(path_count if settles else 0, dtype=int)
-        aovs = [(first(name), channels_of(name)) for name in aov_passes(features.passes)]
-        passes.aov = wp.array(np.array(aovs, np.int32).reshape(-1, 2), dtype=wp.vec2i)
+    passes.values = wp.zeros((layout.others_count, path_count), dtype=float, device=device)
+    passes.share = wp.zeros(path_count if split else 0, dtype=wp.vec4, device=device)
+    passes.shadow_share = wp.zeros(path_count if shadow else 0, dtype=wp.vec4, device=device)
+    grouped = features.light_groups and features.shadow_rays
+    passes.life = wp.zeros(path_count if features.catchers else 0, dtype=int, device=device)
+    passes.shadow_group = wp.zeros(path_count if grouped else 0, dtype=int, device=device)
+    passes.carried = wp.zeros(path_count if features.guides else 0, dtype=wp.vec3, device=device)
+    passes.settled = wp.zeros(path_count if settles else 0, dtype=int, device=device)
+    aovs = [(first(name), channels_of(name)) for name in aov_passes(features.passes)]
+    passes.aov = wp.array(np.array(aovs, np.int32).reshape(-1, 2), dtype=wp.vec2i, device=device)
     passes.mist, passes.uv, passes.vector = first("Mist"), first("UV"), first(VECTOR)
     passes.vector_weight = first(VECTOR_WEIGHT)
     passes.albedo, passes.normal, passes.depth = map(first, GUIDE_PASSES)

@@ -13,7 +13,6 @@ import numpy as np
 import warp as wp
 
 from ....bvh.tree import DONE, NEW
-from ....device.devices import by_default_on
 
 # Entries of `Blocks.state`
 FREE, OVERFLOW, IN_USE_PEAK, SHORT, WAIT_MAX, STEP, WAITING, STATE_SIZE = range(8)
@@ -160,24 +159,23 @@ def pool_bytes(size: PoolSize, queue_total: int, is_cuda: bool) -> int:
 def allocate_blocks(size: PoolSize, queue_total: int, device: wp.Device, host: bool) -> Blocks:
     """`Blocks`, all free; `host`: with the chains that one CPU thread goes along."""
     blocks = Blocks()
-    with by_default_on(device):
-        for name, count in (
-            ("slots", size.entry_count),
-            ("owner", size.block_count),
-            ("link", size.block_count),
-            ("free", size.block_count),
-            ("first", queue_total if host else 0),
-            ("open", queue_total),
-            ("counts", queue_total),
-            ("in_blocks", queue_total),
-            ("since", queue_total),
-            ("overflow_queue", size.overflow),
-            ("overflow_link", size.overflow if host else 0),
-            ("overflow_first", queue_total + 1 if host else 0),
-            ("state", STATE_SIZE),
-        ):
-            setattr(blocks, name, wp.zeros(count, dtype=int))
-        blocks.put = wp.zeros(1, dtype=wp.int64)
+    for name, count in (
+        ("slots", size.entry_count),
+        ("owner", size.block_count),
+        ("link", size.block_count),
+        ("free", size.block_count),
+        ("first", queue_total if host else 0),
+        ("open", queue_total),
+        ("counts", queue_total),
+        ("in_blocks", queue_total),
+        ("since", queue_total),
+        ("overflow_queue", size.overflow),
+        ("overflow_link", size.overflow if host else 0),
+        ("overflow_first", queue_total + 1 if host else 0),
+        ("state", STATE_SIZE),
+    ):
+        setattr(blocks, name, wp.zeros(count, dtype=int, device=device))
+    blocks.put = wp.zeros(1, dtype=wp.int64, device=device)
     blocks.queue_size, blocks.overflow_at = size.queue_size, size.block_count * size.queue_size
     clear_blocks(blocks)
     return blocks

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warp as wp
 
-from ....device.devices import by_default_on
 from ....device.kernel import KERNEL_OPTIONS
 from ....device.launches import RepeatedLaunches
 from ....rays import RayKind, RayList
@@ -55,11 +54,10 @@ class FinishedLists:
         """`capacity`: rays of a batch at most. Rays in slots from `path_count` on are of `shadow_kind`."""
         self._path_count, self._kinds = path_count, (RayKind.CLOSEST, shadow_kind)
         self._launches, self._scan = RepeatedLaunches(device), Scan(device)
-        with by_default_on(device):
-            self._flags = wp.zeros(capacity, dtype=int)
-            self._firsts = wp.zeros(capacity + 1, dtype=int)  # rays that extend paths before each ray
-            self._lists = wp.zeros((2, capacity), dtype=int)
-            self._lengths = wp.zeros(2, dtype=int)
+        self._flags = wp.zeros(capacity, dtype=int, device=device)
+        self._firsts = wp.zeros(capacity + 1, dtype=int, device=device)  # rays that extend paths before each ray
+        self._lists = wp.zeros((2, capacity), dtype=int, device=device)
+        self._lengths = wp.zeros(2, dtype=int, device=device)
 
     def split(self, batch: RayList) -> None:
         """Launch the split of `batch`."""

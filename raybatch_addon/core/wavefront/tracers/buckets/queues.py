@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 import warp as wp
 
-from ....device.devices import by_default_on
 from ....device.kernel import KERNEL_OPTIONS
 from ....device.launches import RepeatedLaunches
 from ....rays import DeviceRayList, RayList
@@ -79,14 +78,13 @@ class BucketQueues:
         self.parallel_queues = DeviceQueues(self.blocks, self.capacity, device) if self._parallel else None
         self._check = BlockCheck(self.blocks, slot_count) if debug else None
         self.taken = DeviceRayList()
-        with by_default_on(device):
-            self.taken.slots, self.taken.locations = (
-                wp.zeros(self.capacity, dtype=int),
-                wp.zeros(self.capacity, dtype=int),
-            )
-            self.taken.count = wp.zeros(1, dtype=int)
-            self.nowhere = wp.zeros(0, dtype=int)
-            self._part_count = wp.zeros(1, dtype=int)
+        self.taken.slots, self.taken.locations = (
+            wp.zeros(self.capacity, dtype=int, device=device),
+            wp.zeros(self.capacity, dtype=int, device=device),
+        )
+        self.taken.count = wp.zeros(1, dtype=int, device=device)
+        self.nowhere = wp.zeros(0, dtype=int, device=device)
+        self._part_count = wp.zeros(1, dtype=int, device=device)
         self.taken.pool_index, self.taken.capacity = self.nowhere, self.capacity
         self._given = DeviceRayList()
         self._given.pool_index, self._given.capacity = self.nowhere, 0

@@ -10,7 +10,6 @@ import numpy as np
 import warp as wp
 
 from ....bvh.tree import DONE, NEW
-from ....device.devices import by_default_on
 from ....rays import DeviceRayList, RayList
 from .kernels import (
     CHUNKS_MOST,
@@ -106,24 +105,29 @@ class WaitingRays:
         self._classes = CLASS_PAGES + page_count
         cuda = device.is_cuda
         waiting = self._waiting = Waiting()
-        with by_default_on(device):
-            waiting.location = wp.empty(slot_count, dtype=int)
-            waiting.page = page_of
-            waiting.classes, waiting.copies = self._classes, TALLY_COPIES if cuda else 1
-            waiting.tally = wp.empty(waiting.classes * waiting.copies, dtype=int)
-            waiting.shadow_first = shadow_first
-            waiting.chunk = SLOTS_A_TURN * -(-slot_count // (SLOTS_A_TURN * CHUNKS_MOST))
-            waiting.parts = wp.zeros(-(-slot_count // waiting.chunk) if cuda else 0, dtype=wp.uint64)
-            self._batch, self._done = DeviceRayList(), DeviceRayList()
-            self._batch.count, self._done.count = wp.zeros(3, dtype=int), wp.zeros(3, dtype=int)
-            self._batch_count = self._batch.count[:1]
-            self._closest_count, self._shadow_count = self._done.count[1:2], self._done.count[2:3]
-            # rays are handed back when no batch is under way
-            self._batch.slots = self._done.slots = wp.zeros(self.capacity, dtype=int)
-            self._batch.locations, self._done.locations = wp.zeros(self.capacity, dtype=int), wp.zeros(0, dtype=int)
-            self._totals = wp.zeros(self._classes + 2, dtype=wp.int64)
-            # as many as are on their way to the host at once
-            self._on_host = [wp.zeros(self._totals.shape, dtype=wp.int64, device="cpu", pinned=cuda) for _ in range(4)]
+        waiting.location = wp.empty(slot_count, dtype=int, device=device)
+        waiting.page = page_of
+        waiting.classes, waiting.copies = self._classes, TALLY_COPIES if cuda else 1
+        waiting.tally = wp.empty(waiting.classes * waiting.copies, dtype=int, device=device)
+        waiting.shadow_first = shadow_first
+        waiting.chunk = SLOTS_A_TURN * -(-slot_count // (SLOTS_A_TURN * CHUNKS_MOST))
+        waiting.parts = wp.zeros(-(-slot_count // waiting.chunk) if cuda else 0, dtype=wp.uint64, device=device)
+        self._batch, self._done = DeviceRayList(), DeviceRayList()
+        self._batch.count, self._done.count = (
+            wp.zeros(3, dtype=int, device=device),
+            wp.zeros(3, dtype=int, device=device),
+        )
+        self._batch_count = self._batch.count[:1]
+        self._closest_count, self._shadow_count = self._done.count[1:2], self._done.count[2:3]
+        # rays are handed back when no batch is under way
+        self._batch.slots = self._done.slots = wp.zeros(self.capacity, dtype=int, device=device)
+        self._batch.locations, self._done.locations = (
+            wp.zeros(self.capacity, dtype=int, device=device),
+            wp.zeros(0, dtype=int, device=device),
+        )
+        self._totals = wp.zeros(self._classes + 2, dtype=wp.int64, device=device)
+        # as many as are on their way to the host at once
+        self._on_host = [wp.zeros(self._totals.shape, dtype=wp.int64, device="cpu", pinned=cuda) for _ in range(4)]
         self._turn = 0
         self.clear()
 
