@@ -47,7 +47,7 @@ class RangeDeal:
         # the samples that are being dealt, to which band, and from which of them on
         self._layer, self._band, self._next = (first, first), bands, first
         self._seconds, self._samples = 0.0, 0  # of samples that were rendered
-        self._beside = 0.0  # what a task takes beside them, at least [s]
+        self._beside: float | None = None  # what a task takes beside them, at least, if that is known [s]
 
     @property
     def dealt(self) -> float:
@@ -80,11 +80,12 @@ class RangeDeal:
         """The same, or what it should be."""
         return self.sample_seconds or self.like
 
-    def note(self, samples: SampleRange, seconds: float, beside: float) -> None:
+    def note(self, samples: SampleRange, seconds: float, beside: float | None) -> None:
         """To render `samples` took a worker so long [s], with a film and a scene that were there, and `beside` went to
-        the film and the scene.
+        the film and the scene; None where kernels were loaded and trees were built too, as no later task has to.
         """
-        self._beside = min(self._beside, beside) if self._samples else beside  # a first one builds trees
+        if beside is not None:
+            self._beside = beside if self._beside is None else min(self._beside, beside)
         self._seconds, self._samples = self._seconds + seconds, self._samples + samples.count
 
     def next(self, workers: int) -> SampleRange | None:
@@ -102,7 +103,7 @@ class RangeDeal:
             wanted = (self.end - self.first) * self.bands / (100 * workers)
         else:
             wanted = self._task_seconds / a_sample
-            most = max(most, math.floor(max(LEAST_SECONDS, self._beside) / a_sample))
+            most = max(most, math.floor(max(LEAST_SECONDS, self._beside or 0.0) / a_sample))
         count = max(1, min(most, self._layer[1] - self._next, math.floor(wanted)))
         dealt = SampleRange(self._next, self._next + count, self._band)
         self._next = dealt.end
@@ -112,7 +113,7 @@ class RangeDeal:
 
     @property
     def _task_seconds(self) -> float:
-        return max(TASK_SECONDS, TASK_TIMES_FILM * self._beside)
+        return max(TASK_SECONDS, TASK_TIMES_FILM * (self._beside or 0.0))
 
     def _begin_layer(self, workers: int) -> None:
         """The next samples for each band. The first layer of several bands tells what a sample takes."""

@@ -82,6 +82,7 @@ class ClusterRender:
         self.workers: list[Worker] = []
         self.tasks_again = 0  # tasks that were rendered again, or by two
         self.rays = 0  # that were traced
+        self._prepared: set[str] = set()  # workers that have kernels and trees
         self.begin()
 
     def begin(self, like: float | None = None) -> None:
@@ -224,7 +225,9 @@ class ClusterRender:
         self._keeper.check(share)
         self._tasks.remove(task)
         self._connection.cancel([each for each in task.futures if each is not task.done])
-        self._deal.note(task.samples, share["seconds_rendering"], share["seconds"] - share["seconds_rendering"])
+        beside = share["seconds"] - share["seconds_rendering"]
+        self._deal.note(task.samples, share["seconds_rendering"], beside if share["worker"] in self._prepared else None)
+        self._prepared.add(share["worker"])
         self.rays += share["rays"]["total"]
         self._unsafe.append(_Film(task.samples, 0, task.done, (task.hosts,)))
 

@@ -118,26 +118,28 @@ def test_what_is_fetched_is_not_merged():
 @pytest.mark.parametrize("bands", [2, 7])
 @pytest.mark.parametrize("total", [1, 5, 1000])
 def test_bands_get_all_samples_in_layers(total, bands, workers):
-    deal, dealt = RangeDeal(10, 10 + total, bands), []
+    deal, dealt, ends = RangeDeal(10, 10 + total, bands), [], [10] * bands
     while (samples := deal.next(workers)) is not None:
         dealt.append(samples)
         deal.note(samples, 0.2 * samples.count, 0.1)
         left = total * bands - sum(each.count for each in dealt)
         assert deal.is_dealt == (left == 0) and deal.dealt == pytest.approx(10 + total - left / bands)
-    ends = [0] * bands
     for band in range(bands):
         own = [each for each in dealt if each.band == band]
         assert own[0].first == 10 and own[-1].end == 10 + total
         assert all(a.end == b.first for a, b in itertools.pairwise(own))
-    for each in dealt:  # no band is two layers ahead of another
+    for before, each in itertools.pairwise([SampleRange(10, 10, -1), *dealt]):
+        if each.band != before.band and before.band >= 0:  # a layer ends in every band before the next one begins
+            assert each.band == (before.band + 1) % bands and (each.band or len(set(ends)) == 1)
         ends[each.band] = each.end
-        assert min(ends) >= 10 or each.first == 10
     assert max(each.count for each in dealt) > 1 or total < 10
 
 
 def test_tasks_are_long_beside_what_their_films_take():
     deal = RangeDeal(0, 100_000)
-    for beside in (30.0, 5.0, 6.0):  # the first one builds trees
+    deal.note(SampleRange(0, 1000), 100.0, None)  # it builds trees
+    assert deal.next(2).count == int(TASK_SECONDS / 0.1)
+    for beside in (5.0, 6.0):
         deal.note(SampleRange(0, 1000), 100.0, beside)
     assert deal.next(2).count == int(TASK_TIMES_FILM * 5.0 / 0.1)
 
