@@ -5,10 +5,9 @@ from __future__ import annotations
 import os
 
 import bpy
-from lib.command import UsageError
 
 from raybatch_addon.export.passes import wanted_passes
-from rendering.request import Request
+from rendering.request import Request, not_layered
 
 LAYERED = "OPEN_EXR_MULTILAYER"
 # Blender's formats by the extension that chooses them; the first one listed is taken
@@ -41,7 +40,7 @@ def choose_format(scene: bpy.types.Scene, request: Request) -> None:
     formats = picture_formats(request.out)
     if request.multilayer:
         if formats and LAYERED not in formats:
-            raise UsageError(f"--multilayer writes OpenEXR files, and {request.out} is none: name it with .exr")
+            raise not_layered(request.out)
         formats = (LAYERED,)
     if formats:
         set_format(scene, formats)
@@ -66,10 +65,11 @@ def unwritten_passes(scene: bpy.types.Scene, request: Request) -> str:
     composited = scene.render.use_compositing and (
         getattr(scene, "compositing_node_group", None) or getattr(scene, "node_tree", None)
     )
-    if request.film or composited or (request.out and scene.render.image_settings.file_format == LAYERED):
+    written = scene.render.image_settings.file_format if request.out else ""
+    if request.film or composited or written == LAYERED:
         return ""
     names = dict.fromkeys(request.passes)
-    if LAYERED in picture_formats(request.out or ""):
+    if written in FORMATS[".exr"]:
         names |= dict.fromkeys(name for layer in scene.view_layers if layer.use for name in wanted_passes(layer))
     heated = {"Combined", *(name for name, _ in request.heat_maps)}
     unwritten = [name for name in names if name not in heated]

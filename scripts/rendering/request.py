@@ -75,6 +75,11 @@ def kind_of(source: Path, taken: Sequence[str] = tuple(dict(KINDS).values())) ->
     )
 
 
+def not_layered(out: str) -> UsageError:
+    """The error for `out` where --multilayer was given."""
+    return UsageError(f"--multilayer writes OpenEXR files, and {out} is none: name it with .exr")
+
+
 def parse_frames(text: str) -> tuple[int, ...]:
     """`A..B`, both included; raises `UsageError`."""
     first, dots, last = text.partition("..")

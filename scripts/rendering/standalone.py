@@ -33,7 +33,7 @@ from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
 from rendering.pictures import picture_path, write_heat_map, write_picture
 from rendering.progress import ProgressBar
-from rendering.request import ARCHIVE, RESOLUTION_DEFAULT, Request
+from rendering.request import ARCHIVE, RESOLUTION_DEFAULT, Request, not_layered
 from rendering.stops import StopRequests
 
 
@@ -46,6 +46,8 @@ def render_standalone(
     if request.frames is not None or request.view_layers:
         raise UsageError(f"{request.source} holds one picture; --frame, --frames and --view-layer are for .blend files")
     out = picture_path(Path(request.out).absolute()) if request.out else None
+    if request.multilayer and out is not None and out.suffix.lower() != ".exr":  # which has every pass
+        raise not_layered(request.out or "")
     film_path = Path(request.film).absolute() if request.film else None
     heat_maps = [(name, Path(path).absolute()) for name, path in request.heat_maps]
     checkpoint = None

@@ -136,7 +136,9 @@ def test_passes_that_no_file_will_hold_are_named(blend, tmp_path):
 
 
 def test_openexr_has_the_picture_or_all_layers_and_passes(addon, tmp_path):
-    """Of a file that is set to PNG: what a .exr leaves out is said, and with --multilayer nothing is."""
+    """Of a file that is set to PNG: what a .exr leaves out is said, and with --multilayer nothing is; nor is a picture
+    by the file's own format silent.
+    """
     blend = make_scene(tmp_path / "two.blend", "layers")
     for out, more in (("a.exr", ()), ("b.exr", ["--multilayer"]), ("c_", ["--multilayer"])):
         done = call_script("render.py", blend, "-o", tmp_path / out, *more, "--passes", "normal")
@@ -153,6 +155,10 @@ def test_openexr_has_the_picture_or_all_layers_and_passes(addon, tmp_path):
     assert "--multilayer writes OpenEXR files" in error_line(
         call_script("render.py", blend, "-o", tmp_path / "d.png", "--multilayer")
     )
+    bpy.context.scene.render.image_settings.file_format = "OPEN_EXR"
+    bpy.ops.wm.save_mainfile()
+    done = call_script("render.py", blend, "-o", tmp_path / "e_")
+    assert done.returncode == 0 and "Depth: rendered, but written nowhere" in done.stderr
 
 
 def test_a_png_of_a_file_that_is_set_to_openexr_has_eight_bits(addon, tmp_path):

@@ -27,7 +27,7 @@ VERTICES_MAX = 2**31 - 1
 # [bytes]
 ROW = 12  # a triangle's indices, or a position
 NORMALS = 36  # of the corners of a triangle
-INSTANCE = 60  # its map, mesh, and a material
+INSTANCE = 60  # its map, mesh, first slot and a material
 ENTRY = 84  # of the top level: a mesh tree's place, with the inverse map, and its number in a leaf
 ENTRY_HOST = 192  # both maps, float64, while trees are built
 # Nodes and triangles, for each triangle: from above, so that a budget holds them; and with full groups and leaves

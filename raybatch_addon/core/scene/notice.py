@@ -13,9 +13,8 @@ _NAMED_MOST = 8
 class Weight(IntEnum):
     """How much a picture differs by what a notice is about."""
 
-    REPAIRED = (
-        0  # what no other engine would show: data that is broken and was mended or left out, passes that are empty
-    )
+    # what no other engine would show: data that is broken and was mended or left out, passes that are empty
+    REPAIRED = 0
     SETTING = 1  # a setting of another engine that is passed over: noise, time, and light of late bounces
     REPLACED = 2  # something else stands in for it
     MISSING = 3  # it is not in the picture, or the picture is another one

@@ -24,8 +24,7 @@ _OF_KINDS = ("diffuse_bounce_max", "glossy_bounce_max", "transmission_bounce_max
 # Those that count only where pictures are denoised
 _OF_DENOISING = {"denoise_inputs", "denoise_prefilter", "denoise_quality"}
 
-
-# Names of settings that the command gives which opens the file, beside those of `asked`
+# Names of settings that a script gives, which has a command line of its own; those of Blender's are in `asked`
 of_command: set[str] = set()
 
 

@@ -1,14 +1,18 @@
 """Settings of Cycles and EEVEE as ours."""
 
+import sys
+
 import pytest
 
 bpy = pytest.importorskip("bpy")
 
 from raybatch_addon.blender import missing
+from raybatch_addon.core.scene.notice import Notice
 from raybatch_addon.core.settings.settings import SETTINGS
 from raybatch_addon.export.materials import export_material
 from raybatch_addon.export.nodes.collections import Collections
 from raybatch_addon.export.settings import settings_from
+from raybatch_addon.export.taken_over import take
 from raybatch_addon.export.taken_over.rows import CYCLES, EEVEE, ROWS
 from raybatch_addon.export.taken_over.take import Difference, differences, passed_over_settings, take_over
 from raybatch_addon.ui.before_render.panel import RAYBATCH_RENDER_PT_before_render, RAYBATCH_RENDER_PT_settings_from
@@ -174,3 +178,31 @@ def test_nothing_to_do_in_a_panel_is_on_a_command_line(scene, capsys):
     assert "To do: take them over" in texts and "--" not in texts and ".py" not in texts
     missing.print_notices([notice])
     assert capsys.readouterr().err.rstrip().endswith("Settings From Cycles, or -- --raybatch-settings-from cycles)")
+
+
+def test_what_a_command_line_gives_is_not_reported(scene, monkeypatch):
+    scene.cycles.samples, scene.cycles.max_bounces, scene.cycles.use_denoising = 123, 3, False
+    titles = [SETTINGS[name].title for name in ("sample_count", "bounce_max")]
+
+    def reported():
+        text = " ".join(passed_over_settings(scene))
+        return [f"{title}: " in text for title in titles]
+
+    assert reported() == [True, True]
+    monkeypatch.setattr(take, "of_command", {"sample_count"})
+    assert reported() == [False, True]
+    monkeypatch.setattr(take, "of_command", set())
+    monkeypatch.setattr(sys, "argv", ["blender", "-b", "--", "--raybatch-set", "bounce_max=9"])
+    assert reported() == [True, False]
+
+
+def test_frames_of_one_render_say_once_what_they_lack(monkeypatch, capsys):
+    monkeypatch.setattr(missing, "_printed", set())
+
+    def printed(job, *texts):
+        missing.print_new_notices([Notice(text) for text in texts], job)
+        return [line.rpartition(": ")[2] for line in capsys.readouterr().err.splitlines()]
+
+    assert printed(1001, "one", "two") == ["one", "two"]
+    assert printed(1001, "two", "three") == ["three"]
+    assert printed(1002, "two") == ["two"]

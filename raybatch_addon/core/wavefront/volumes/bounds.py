@@ -49,7 +49,7 @@ _FLIGHTS_MOST = 4096.0
 # is empty, and that of a line from which on no light comes in
 _LINE_CELLS = 8
 _DIMS_LEAST, _DIMS_MOST = 1e-3, 7.0
-# What two sets of numbers have together
+# The largest numbers of two sets of those of each set: the largest one (NumPy's maximum), or more of them
 Join = Callable[[np.ndarray, np.ndarray], np.ndarray]
 # Kinds of rays, of which each has a bit; each with bounce 0 and 1
 RAYS = 2 * int(Visibility.ALL).bit_count()
