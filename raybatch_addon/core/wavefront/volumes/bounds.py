@@ -225,7 +225,7 @@ def find_bounds(
         volumes.asked = asked
         launch(volumes, len(together) * count)
         shape = len(together), cells, cells, cells, 2, 2, 2, 2
-        around[together] = [_largest_anywhere_near(each) for each in asked.found.numpy().reshape(shape)]
+        around[together] = _largest_anywhere_near(asked.found.numpy().reshape(shape))
         for number in together:
             mesh = bounded[number].mesh
             if mesh is not None and mesh.flow is not None:
@@ -274,29 +274,36 @@ def largest_of_cells(found: wp.array) -> np.ndarray:
 
 def _largest_anywhere_near(octants: np.ndarray) -> np.ndarray:
     """The largest of each cell and of all around it, so far away as it takes for other points to tell of the largest
-    that is found in a cell. Shapes as those of `_largest_around`.
+    that is found in a cell. Of volumes together: shape [n, x, y, z, 2] from [n, x, y, z, 2, 2, 2, 2].
     """
-    extinction = octants[..., EXTINCTION]
-    own, cells = extinction.max((3, 4, 5)), len(octants)
-    whole = max(float(extinction.sum(dtype=np.float64)), 1e-300)
+    octants = np.ascontiguousarray(np.moveaxis(octants, 0, 6))
+    extinction, cells = octants[..., EXTINCTION], len(octants)
+    own = extinction.max((3, 4, 5))
+    whole = np.maximum(extinction.sum((0, 1, 2, 3, 4, 5), dtype=np.float64), 1e-300)
+
+    def missing(of: np.ndarray, largest_two: np.ndarray) -> np.ndarray:
+        """Shares of the density of the volumes `of` that `largest_two` points of a cell and around it leave out."""
+        (most, second), alone = np.moveaxis(largest_two, -1, 0), own[..., of]
+        above = alone - _MARGIN * np.where(alone < most, most, second)
+        return np.maximum(above, 0.0).sum((0, 1, 2), dtype=np.float64) / whole[of]
+
+    largest, every = _largest_around(octants), np.arange(octants.shape[6])
     # sets that are joined have nothing in common: points of octants, or of cells
-    near = _largest_around(np.stack([extinction, np.zeros_like(extinction)], -1), _two_largest)
-    in_cell = np.partition(extinction.reshape(*own.shape, CELL_POINTS), -2, 3)[..., :-3:-1]
-
-    @functools.cache
-    def missing(far: int) -> float:
-        most, second = np.moveaxis(_spread(in_cell, np.full(3, far), _two_largest) if far else near, -1, 0)
-        above = own - _MARGIN * np.where(own < most, most, second)
-        return float(np.maximum(above, 0.0).sum(dtype=np.float64)) / whole
-
-    largest = _largest_around(octants)
-    if missing(0) <= _MISSING_MOST:
-        return largest
-    # what no other point tells of is not found by widening either
-    most, far = max(_MISSING_MOST, 1.1 * missing(cells)), 0
-    while missing(far) > most:
-        far = min(max(1, 2 * far), cells)
-    return _spread(largest, np.full(3, far))
+    lacks = missing(every, _largest_around(np.stack([extinction, np.zeros_like(extinction)], -1), _two_largest))
+    wider = np.flatnonzero(lacks > _MISSING_MOST)
+    if len(wider):
+        points = extinction[..., wider].reshape(*own.shape[:3], CELL_POINTS, len(wider))
+        in_cell = np.moveaxis(np.partition(points, -2, 3)[:, :, :, :-3:-1], 3, -1)
+        # what no other point tells of is not found by widening either
+        most = np.maximum(_MISSING_MOST, 1.1 * missing(wider, _spread(in_cell, np.full(3, cells), _two_largest)))
+        far, lacks = 0, lacks[wider]
+        while (left := lacks > most).any():
+            far = min(max(1, 2 * far), cells)
+            wider, most, in_cell = wider[left], most[left], in_cell[..., left, :]
+            lacks = missing(wider, _spread(in_cell, np.full(3, far), _two_largest))
+            enough = wider[~(lacks > most)]
+            largest[..., enough, :] = _spread(largest[..., enough, :], np.full(3, far))
+    return np.moveaxis(largest, 3, 0)
 
 
 def _two_largest(some: np.ndarray, others: np.ndarray) -> np.ndarray:
