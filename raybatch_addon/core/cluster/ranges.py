@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 TASK_SECONDS = 10.0
 # ... and so many times what its film takes beside it
 TASK_TIMES_FILM = 8.0
-# All bands get some samples before any gets more, which takes about so long: what there is then can be kept [s]
+# All bands get some samples before any gets more, which takes about so long: what there is then can be kept [s]. It is
+# longer where tasks would be short beside what their films take
 LAYER_SECONDS = 30.0
 # The last ones are not shorter than this, where they have more than one sample [s]
 LEAST_SECONDS = 0.5
@@ -113,14 +114,21 @@ class RangeDeal:
 
     @property
     def _task_seconds(self) -> float:
-        return max(TASK_SECONDS, TASK_TIMES_FILM * (self._beside or 0.0))
+        return max(TASK_SECONDS, self._film_seconds)
+
+    @property
+    def _film_seconds(self) -> float:
+        """Tasks that take so long are long beside what their films take."""
+        return TASK_TIMES_FILM * (self._beside or 0.0)
 
     def _begin_layer(self, workers: int) -> None:
         """The next samples for each band. The first layer of several bands tells what a sample takes."""
         first, a_sample = self._layer[1], self._sample_seconds
         left = count = self.end - first
         if self.bands > 1:
-            count = 1 if a_sample is None else math.floor(LAYER_SECONDS * workers / (a_sample * self.bands))
+            count = 1
+            if a_sample is not None:
+                count = math.floor(max(LAYER_SECONDS * workers / self.bands, self._film_seconds) / a_sample)
             count = left if 2 * left < 3 * count else max(count, 1)
         self._layer, self._band, self._next = (first, first + count), 0, first
 

@@ -35,6 +35,7 @@ def dealing(count):
 def cut_into(count, monkeypatch):
     """Frames of these tests have so many bands, which is returned, and layers of few samples."""
     monkeypatch.setattr(ranges, "LAYER_SECONDS", 0.1)
+    monkeypatch.setattr(ranges, "TASK_TIMES_FILM", 0.0)
     monkeypatch.setattr(bands, "BAND_PIXELS", FRAME.width * FRAME.height / count)
     assert len(bands.bands_of(FRAME.region)) == count
     return count

@@ -144,6 +144,15 @@ def test_tasks_are_long_beside_what_their_films_take():
     assert deal.next(2).count == int(TASK_TIMES_FILM * 5.0 / 0.1)
 
 
+def test_layers_of_many_bands_are_not_so_short_that_films_take_most_of_the_time():
+    deal = RangeDeal(0, 1000, 32)
+    for _ in range(32):
+        samples = deal.next(1)
+        assert samples.count == 1
+        deal.note(samples, 0.5, 0.25)
+    assert deal.next(1).count == int(TASK_TIMES_FILM * 0.25 / 0.5)
+
+
 def test_films_are_merged_up_to_a_border_and_not_beyond():
     tree = MergeTree()
     for first, end, rank in ((0, 1, 0), (1, 9, 3), (9, 12, 3), (12, 20, 1)):
