@@ -78,8 +78,8 @@ class RangeDeal:
 
     @property
     def _sample_seconds(self) -> float | None:
-        """The same, or what it should be."""
-        return self.sample_seconds or self.like
+        """The same, or what it should be; None where both are too little to be measured, too."""
+        return self.sample_seconds or self.like or None
 
     def note(self, samples: SampleRange, seconds: float, beside: float | None) -> None:
         """To render `samples` took a worker so long [s], with a film and a scene that were there, and `beside` went to

@@ -28,6 +28,12 @@ def is_copy(paths: Paths, path: int) -> bool:
 
 
 @wp.func
+def is_once_more(paths: Paths, path: int) -> bool:
+    """Whether a path that met a catcher is traced once more: with nothing in its way, or as a copy."""
+    return life_of(paths, path) >= wp.static(_WORLD)
+
+
+@wp.func
 def receiver_of_copy(paths: Paths, path: int, receiver: int) -> int:
     """The light set by which light is chosen for a path at what is of the set `receiver`."""
     if is_copy(paths, path) and paths.passes[0].inputs.copy_receiver >= 0:
@@ -41,7 +47,7 @@ def is_in_vacuum(paths: Paths, path: int, inside: wp.vec4i) -> bool:
     and for rays that look at the world behind a catcher.
     """
     nowhere = inside[0] == 0 and inside[1] == 0 and inside[2] == 0 and inside[3] == 0
-    return nowhere and life_of(paths, path) >= wp.static(_WORLD)
+    return nowhere and is_once_more(paths, path)
 
 
 @wp.func

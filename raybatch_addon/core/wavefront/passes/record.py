@@ -10,7 +10,7 @@ from ...film.mattes import MatteTile, add_matte
 from ...film.tile import FilmTile
 from ...rays import Rays
 from ...shading.bsdf.bsdf import ClosureFeatures, make_bsdf
-from ..catchers.copies import is_copy
+from ..catchers.copies import is_copy, is_once_more
 from ..rays import Paths
 from ..scene.shading_data import SceneData, depth_of
 from ..stages.generate import pixel_sample
@@ -101,7 +101,8 @@ def note_motion(passes: PathPasses, path: int, motion: wp.vec4):
 def make_record_background(catchers: bool = False, panoramas: bool = False) -> wp.Function:
     """Function (work, paths, film, path: int, direction: vec3) for a path that leaves the scene in `direction` before
     it scattered: indices are those of a surface that was transparent no more, and Vector is how the background moves.
-    With `catchers` copies of paths record nothing. `panoramas`: the pass Vector may be that of a panorama.
+    With `catchers` paths that are traced once more record nothing. `panoramas`: the pass Vector may be that of a
+    panorama.
     """
     motion_of = make_motion_vectors(panoramas).of_background
 
@@ -109,7 +110,7 @@ def make_record_background(catchers: bool = False, panoramas: bool = False) -> w
     def record_background(work: TileWork, paths: Paths, film: FilmTile, path: int, direction: wp.vec3):
         passes = paths.passes[0]
         if wp.static(catchers):
-            if is_copy(paths, path):
+            if is_once_more(paths, path):
                 return
         if passes.settled.shape[0] > 0 and paths.passed[path] != 0:
             if passes.settled[path] != 0:
