@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from raybatch_addon.core.device import bulk
+from raybatch_addon.core.device import bulk, locked
 from raybatch_addon.core.scene import geometry as scene_geometry
 from raybatch_addon.core.scene.flatten import flatten
 from raybatch_addon.core.scene.geometry import host_array, upload_geometry, uploaded
@@ -56,7 +56,8 @@ def test_corners_instead_of_indices_change_no_film(session, monkeypatch, made):
 
 @pytest.mark.parametrize("locked_least", [0, 1 << 26])
 def test_large_arrays_reach_the_device_whole(locked_least, device, monkeypatch):
-    monkeypatch.setattr(scene_geometry, "_LOCKED_LEAST", locked_least)
+    monkeypatch.setattr(locked, "OWN_PAGES_LEAST", locked_least)
+    monkeypatch.setattr(scene_geometry, "OWN_PAGES_LEAST", locked_least)
     device = wp.get_device(device)
     values = np.random.default_rng(1).random((100_001, 3), np.float32)
     for each in (values, values[::2], values[:0]):

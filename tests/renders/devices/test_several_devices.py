@@ -36,12 +36,23 @@ WAYS = {
 PAGED = {"paged": 0.2, "peers": 0.6}
 
 
-def of_several() -> Session:
-    """A session of `COUNT` devices like the one under test; where there are not so many, it stands for several."""
+def devices_like_it() -> list[wp.Device]:
+    """`COUNT` devices like the one under test; fewer where there are fewer of CUDA, each of which one thread drives
+    (Warp's sorts share memory, and a capture takes in what others launch). The CPU stands for several.
+    """
     device = wp.get_device(DEVICE)
-    there = [each for each in wp.get_cuda_devices() if device.is_cuda and each.name == device.name] or [device]
+    if device.is_cpu:
+        return [device] * COUNT
+    return [each for each in wp.get_cuda_devices() if each.name == device.name][:COUNT]
+
+
+def of_several() -> Session:
+    """A session of `devices_like_it`."""
+    there = devices_like_it()
+    if len(there) < 2:
+        pytest.skip("there are no two devices alike")
     session = Session(DEVICE)
-    session._at = [SessionDevice(there[i % len(there)]) for i in range(COUNT)]
+    session._at = [SessionDevice(each) for each in there]
     return session
 
 
@@ -97,7 +108,7 @@ def test_the_film_is_that_of_one_device(session, several, way):
         film = several.render(fine(), settings)
         assert_same_film(film, expected)
         assert film.statistics["rays"] == expected.statistics["rays"]
-    assert film.statistics["schedule"]["workers"] == COUNT
+    assert film.statistics["schedule"]["workers"] == len(several.devices)
 
 
 def test_the_statistics_list_the_devices(several):
@@ -138,7 +149,7 @@ def test_what_fails_on_one_device_fails_the_render_and_leaves_the_session_well(s
     settings = settings_of("progressive")
     expected = session.render(fine(), settings)
     lack = DeviceError("the last one has no room")
-    monkeypatch.setattr(DeviceScene, "build", failing(DeviceScene.build, COUNT, lack))
+    monkeypatch.setattr(DeviceScene, "build", failing(DeviceScene.build, len(several.devices), lack))
     with pytest.raises(DeviceError, match="the last one has no room"):
         several.render(fine(), settings)
     assert_same_film(several.render(fine(), settings), expected)
