@@ -74,6 +74,11 @@ def schedules_counts(work: Path) -> Counts:
     return _counts(report["compared"] - report["faults"], ["a film differs"] * report["faults"])
 
 
+def site_counts(work: Path) -> Counts:
+    """Counts of the site's pages; whether all of their links lead somewhere is in the exit code."""
+    return _counts(len(list((work / "site").rglob("*.html"))), [])
+
+
 def _save_mesh(work: Path) -> None:
     import numpy as np
 
@@ -135,5 +140,10 @@ CHECKS = {
         ],
         schedules_counts,
         _save_scenes,
+    ),
+    "site": Check(
+        "the site of the documents, its links and pictures",
+        lambda work: ["scripts/docs_site/build.py", str(work / "site")],
+        site_counts,
     ),
 }
