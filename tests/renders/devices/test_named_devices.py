@@ -7,6 +7,8 @@ import warp as wp
 
 from raybatch_addon.core.session import Session
 from tests.support import scenes, schedule_scenes
+from tests.support.feature_scenes import EACH_WIDE_FEATURE, FEATURES, WIDE_FEATURES
+from tests.support.feature_scenes import SETTINGS as FEATURE_SETTINGS
 from tests.support.under_test import DEVICE
 from tests.support.watched_renders import FRAME, SETTINGS
 
@@ -20,10 +22,12 @@ WAYS = {
 }
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_a_render_never_asks_for_the_default_device(way, monkeypatch):
-    budget = dict(geometry_budget=schedule_scenes.least_budget(DEVICE) + 1000) if way == "paged" else {}
-    session = Session(DEVICE)
+CATCHERS = "shadow catchers"
+
+
+@pytest.fixture
+def asked(monkeypatch) -> list[int]:
+    """An entry for each time that the default device was asked for, which fails."""
     runtime, asked = type(wp._src.context.runtime), []
     get_device = runtime.get_device
 
@@ -34,5 +38,19 @@ def test_a_render_never_asks_for_the_default_device(way, monkeypatch):
         return get_device(self, ident)
 
     monkeypatch.setattr(runtime, "get_device", named)
-    assert session.render(scenes.mixed(FRAME), SETTINGS.replace(**WAYS[way], **budget)).complete
+    return asked
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_render_never_asks_for_the_default_device(way, asked):
+    budget = dict(geometry_budget=schedule_scenes.least_budget(DEVICE) + 1000) if way == "paged" else {}
+    made = scenes.mixed(FRAME)
+    assert Session(DEVICE).render(made, SETTINGS.replace(**WAYS[way], **budget)).complete
+    assert not asked
+
+
+@pytest.mark.parametrize("name", [*FEATURES, *WIDE_FEATURES, CATCHERS])
+def test_no_feature_asks_for_the_default_device(name, asked):
+    scene, changes = (FEATURES | WIDE_FEATURES | EACH_WIDE_FEATURE)[name]
+    assert Session(DEVICE).render(scene, FEATURE_SETTINGS.replace(**{"sample_count": 2, **changes})).complete
     assert not asked
