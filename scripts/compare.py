@@ -23,8 +23,8 @@ Each engine renders each file in a process of its own, small, without clamping, 
 with its own --defaults, but without denoising, since the noise of a denoised picture says nothing of its error). A file
 that cannot be rendered is a row that says why. A scene without a camera is given one that sees all of it; where most of
 a file's materials are on nothing, they are put on balls, twelve a sheet, and those that differ are named. Results are
-written to --out as they come: results.json, report.html and the folder files/ with pictures. The same command goes on
-where it was stopped: only what is missing, failed, or was rendered by other code is rendered.
+written to --out as they come: results.json, report.html with its pictures, and the folder files/ of what was measured.
+The same command goes on where it was stopped: only what is missing, failed, or was rendered by other code is rendered.
 """
 EPILOG = """\
 exit codes:

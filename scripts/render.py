@@ -45,7 +45,7 @@ FILE is one of
 
 Geometry gets a default light (a sun and a pale blue sky), and a camera that shows all of it unless --camera is given.
 Nothing is written to standard output but the statistics, for `--json -`. Progress and errors go to standard error.
-The exit code is 0, or 1 with one line that says what was wrong (2: the command line was not understood; 3: --strict
+The exit code is 0, or 1 with one line that says what was wrong (2: an option that there is not; 3: --strict
 refuses to render; 130: stopped by Ctrl-C or SIGTERM, with statistics of what was done, and no picture).
 """
 OUT_HELP = """\
@@ -69,7 +69,7 @@ SETTINGS_HELP = "\n".join(
 
 def with_weight(arguments: list[str]) -> list[str]:
     """`arguments` with the weight that a `--strict` alone stands for, where FILE is what follows it."""
-    following = [*arguments[1:], ""]
+    following = [*arguments, ""][1:]
     return [
         f"{argument}={STRICT_ALONE}" if argument == "--strict" and after not in STRICT_WEIGHTS else argument
         for argument, after in zip(arguments, following, strict=True)

@@ -10,7 +10,7 @@ from typing import Any
 
 import bpy
 from lib.command import RefusedError, UsageError
-from lib.output import OutputFolders, described, numbered, print_notes, print_warnings, write_json
+from lib.output import OutputFolders, described, numbered, print_notes, print_saved, print_warnings, write_json
 
 import raybatch_addon
 from raybatch_addon.blender import checkpoints, reports
@@ -119,7 +119,9 @@ class BlenderRender:
         print_warnings(text for text in exported.warnings if text not in self._shown)
         self._shown.update(exported.warnings)
         if self._request.save_scene and not self._scene_saved:
-            save_scene(Path(self._request.save_scene).absolute(), exported, settings)
+            path = Path(self._request.save_scene).absolute()
+            save_scene(path, exported, settings)
+            print_saved(path, "the scene")
             self._scene_saved = True
             if not self._request.renders:
                 raise _SceneSaved("the scene is saved")

@@ -64,7 +64,9 @@ def render_standalone(
     scene = dataclasses.replace(scene, frame=dataclasses.replace(scene.frame, passes=tuple(passes)))
     settings = settings.replace(**request.settings)
     if request.save_scene:
-        save_scene(Path(request.save_scene).absolute(), scene, settings)
+        path = Path(request.save_scene).absolute()
+        save_scene(path, scene, settings)
+        print_saved(path, "the scene")
     print_warnings(scene.warnings)
     if not request.renders:
         return

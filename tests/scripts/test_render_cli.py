@@ -302,7 +302,7 @@ def test_a_preset_comes_before_single_settings(sheet, tmp_path):
     ("arguments", "weight"),
     [
         (["--strict", "a.blend"], "replaced"),
-        (["a.blend", "--strict"], "replaced"),
+        (["a.blend"], None),
         (["--strict", "--json", "-", "a.blend"], "replaced"),
         (["--strict", "missing", "a.blend"], "missing"),
         (["a.blend", "--strict=setting"], "setting"),
@@ -310,7 +310,7 @@ def test_a_preset_comes_before_single_settings(sheet, tmp_path):
 )
 def test_strict_does_not_take_the_file_for_its_weight(arguments, weight):
     options = render.argument_parser().parse_args(render.with_weight(arguments))
-    assert (options.strict, str(options.file)) == (weight, "a.blend")
+    assert (options.strict, str(options.file)) == (weight, "a.blend") and render.with_weight([]) == []
 
 
 def test_the_help_lists_every_setting_and_preset():

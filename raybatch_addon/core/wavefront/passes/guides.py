@@ -71,7 +71,7 @@ def make_note_surface(features: ClosureFeatures) -> wp.Function:
     # the light that goes below a surface has scattered there; that which a rough surface refracts has its colour
     is_facets, has_facets = features.test(MICROFACET_KINDS - {_K.SUBSURFACE}), has(*MICROFACET_KINDS - {_K.SUBSURFACE})
     is_clear = features.test((_K.GLASS, _K.REFRACTION))
-    has_transparent, has_portal = has(_K.TRANSPARENT), has(_K.RAY_PORTAL)
+    has_transparent, has_portal, has_glass = has(_K.TRANSPARENT), has(_K.RAY_PORTAL), has(_K.GLASS)
     own_normal = make_normals(features.own_normals)[1]
 
     @wp.func
@@ -112,6 +112,10 @@ def make_note_surface(features: ClosureFeatures) -> wp.Function:
                 total = color[0] + color[1] + color[2]
                 if total > 0.0 and total < wp.inf:
                     color = (lobe.selection / total) * color
+                if wp.static(has_glass):
+                    if view.closures[c].kind == _GLASS:  # it may tint what it lets through
+                        f = reflectance(view.closures, c, tables, lobe.cosine, view.frame.entering)
+                        color = wp.cw_mul(color, f + wp.cw_mul(wp.vec3(1.0) - f, view.closures[c].refraction))
                 share += lobe.selection
                 # facets are about a normal that is bent where it would mirror the view into the surface
                 about = own_normal(view.closures, c, view.frame)

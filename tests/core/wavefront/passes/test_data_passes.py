@@ -131,6 +131,18 @@ def test_vectors_of_the_background_are_those_of_what_is_far_away(session, kind, 
     assert found == pytest.approx(expected, abs=0.03)  # means over the pixel
 
 
+def test_albedo_that_guides_a_denoiser_has_the_tint_of_glass(session):
+    """As in Cycles: what is seen through glass counts by its albedo, and so does the light in it."""
+    tint, white = np.array([0.5, 0.6, 0.7]), 0.3
+    reflected = ((1.5 - 1) / (1.5 + 1)) ** 2
+    glass = scenes.material(Closure(ClosureKind.GLASS, (1.0, 1.0, 1.0), roughness=0.0, ior=1.5, refraction=tuple(tint)))
+    scene = looking_down(glass, passes=("Denoising Albedo",))
+    passes = session.render(scene, SETTINGS.replace(sample_count=256)).passes
+    seen = reflected + (1 - reflected) * tint
+    assert passes["Combined"][..., :3].mean((0, 1)) == pytest.approx(white * seen, rel=0.01)
+    assert passes["Denoising Albedo"].mean((0, 1)) == pytest.approx(white * seen**2, rel=0.01)
+
+
 def with_aovs(surface, *values):
     """A material that writes `values` to its passes, and scatters as `surface` does."""
     builder = ProgramBuilder()
