@@ -78,7 +78,7 @@ class RangeDeal:
 
     @property
     def _sample_seconds(self) -> float | None:
-        """The same, or what it should be; None where both are too little to be measured, too."""
+        """The same, or what it should be; None where neither is known, or both are too little to be measured."""
         return self.sample_seconds or self.like or None
 
     def note(self, samples: SampleRange, seconds: float, beside: float | None) -> None:

@@ -104,7 +104,7 @@ def _registered(driver: Any, memory: np.ndarray, dtype: type, shape: tuple[int, 
     with _asking_driver:
         held = _registrations.get(place)
         if held is None:
-            pointer, size = ctypes.c_void_p(memory.ctypes.data), ctypes.c_size_t(memory.nbytes)
+            pointer, size = ctypes.c_void_p(place[0]), ctypes.c_size_t(place[1])
             with _context(driver):
                 if driver.cuMemHostRegister_v2(pointer, size, _REGISTER_FLAGS) != 0:
                     return None

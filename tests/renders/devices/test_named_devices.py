@@ -20,9 +20,7 @@ WAYS = {
     "adaptive": dict(adaptive_sampling="ON", noise_threshold=0.1, adaptive_samples_min=4),
     "sorted": dict(ray_sort="ON", hit_sort="ON"),
 }
-
-
-CATCHERS = "shadow catchers"
+TRIED = {**FEATURES, **WIDE_FEATURES, "shadow catchers": EACH_WIDE_FEATURE["shadow catchers"]}
 
 
 @pytest.fixture
@@ -49,8 +47,8 @@ def test_a_render_never_asks_for_the_default_device(way, asked):
     assert not asked
 
 
-@pytest.mark.parametrize("name", [*FEATURES, *WIDE_FEATURES, CATCHERS])
+@pytest.mark.parametrize("name", TRIED)
 def test_no_feature_asks_for_the_default_device(name, asked):
-    scene, changes = (FEATURES | WIDE_FEATURES | EACH_WIDE_FEATURE)[name]
+    scene, changes = TRIED[name]
     assert Session(DEVICE).render(scene, FEATURE_SETTINGS.replace(**{"sample_count": 2, **changes})).complete
     assert not asked
