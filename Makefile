@@ -3,7 +3,7 @@
 # make check    check the sources and run the fast tests: less than two minutes
 # make format   format and mend the sources
 # make test-all run everything there is on the CPU, for hours, and note it in docs/testing.md; run again, it goes on
-# make test-gpu run what needs no Blender on a CUDA device; PART=1/2 and PART=2/2 run one half each
+# make test-gpu run what needs no Blender on a CUDA device; PART=1/3, 2/3 and 3/3 run a third each
 # make package  build the Blender extension's zips into dist/
 # make wheel    build the library, RayBatch without Blender, into dist/
 # make repository  put the zips into dist/repository, with the list from which Blender installs and updates them

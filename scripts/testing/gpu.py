@@ -21,10 +21,11 @@ all cases of tests/stability on a CUDA device, from an empty kernel cache.
 
 It needs Python 3.11 or newer with numpy, warp-lang, pytest and hypothesis, and neither Blender nor a network.
 
-The work is cut into parts, always alike: --part 1/2 and --part 2/2 together are everything. FILE is written whenever
+The work is cut into parts, always alike: --part 1/3, 2/3 and 3/3 together are everything. FILE is written whenever
 something ends, so that a run that is killed leaves what was done. The exit code is 0 if all of the part was run and
 nothing failed, 1 if not, and 2 if it could not begin.
 """
+MOST_JOBS = 16  # by default: each holds some GB of the device
 NEEDED = ("numpy", "warp", "pytest", "hypothesis")
 
 
@@ -49,9 +50,16 @@ def argument_parser() -> argparse.ArgumentParser:
         default=os.environ.get("RAYBATCH_TEST_DEVICE", "cuda:0"),
         help="default: that of RAYBATCH_TEST_DEVICE, else cuda:0",
     )
-    add("--jobs", type=int, default=8, metavar="N", help="processes that share the device (default: %(default)s)")
+    add(
+        "--jobs",
+        type=int,
+        default=min(os.cpu_count() or 1, MOST_JOBS),
+        metavar="N",
+        help=f"processes that share the device (default: one for each core, at most {MOST_JOBS})",
+    )
     add("--limit", type=float, default=525.0, metavar="SECONDS", help="end then (default: %(default)g)")
     add("--kernel-cache", type=Path, metavar="FOLDER", help="where compiled kernels are kept (default: an empty one)")
+    add("--after", type=Path, metavar="FILE", help="go on from this report: what passed there is not run again")
     add("--only", action="append", default=[], metavar="TEXT", help="only units with this in their names")
     add("--list", action="store_true", help="name the units of the part with the seconds expected, and run none")
     add(
@@ -71,17 +79,22 @@ def main(arguments: list[str] | None = None) -> int:
     if missing:
         print(f"gpu.py: error: {', '.join(missing)} cannot be imported; --help says what is needed", file=sys.stderr)
         return 2
-    from testing.gpu_report import report_of, seconds_in, summary, write_report
+    from testing.gpu_report import NOTHING_EARLIER, Earlier, report_of, seconds_in, summary, write_report
     from testing.run_units import UnitRun, run_units
     from testing.units import all_units, part_of, store_seconds
 
     if options.store_seconds:
         store_seconds(seconds_in(options.store_seconds))
         return 0
+    try:
+        earlier = Earlier.of(options.after, options.part) if options.after else NOTHING_EARLIER
+    except ValueError as error:
+        print(f"gpu.py: error: {error}", file=sys.stderr)
+        return 2
     units = [
         unit
         for unit in part_of(all_units(), *options.part)
-        if not options.only or any(text in unit.name for text in options.only)
+        if unit.name not in earlier.names and (not options.only or any(text in unit.name for text in options.only))
     ]
     if options.list:
         for unit in units:
@@ -95,7 +108,7 @@ def main(arguments: list[str] | None = None) -> int:
         kernels = options.kernel_cache or Path(folder) / "kernels"
 
         def write() -> dict:
-            report = report_of(runs, options.part, options.device, time.monotonic() - start)
+            report = report_of(runs, options.part, options.device, time.monotonic() - start, earlier)
             write_report(options.out, report)
             return report
 

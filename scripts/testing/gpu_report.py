@@ -6,6 +6,7 @@ import json
 import os
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,38 +19,78 @@ from testing.run_units import BROKEN, DONE, RUNNING, STOPPED, WAITING, UnitRun
 SLOWEST = 20  # tests and cases that are named
 
 
-def report_of(runs: Sequence[UnitRun], part: tuple[int, int], device: str, seconds: float) -> dict[str, Any]:
-    """All that is known now; `seconds` since the part began."""
-    units, outcomes = [], []
-    for run in runs:
-        ended = run.outcomes
-        outcomes += ended
-        row = {
-            "unit": run.unit.name,
-            "state": run.state,
-            "seconds": round(run.seconds, 1),
-            "expected_seconds": round(run.unit.seconds, 1),
-            "tests": [_row(each) for each in ended],
-        }
-        if run.state == BROKEN:
-            row["printed"] = run.printed()
-        units.append(row)
-    counts = Counter(each.outcome for each in outcomes)
-    states = Counter(run.state for run in runs)
+@dataclass(frozen=True)
+class Earlier:
+    """What an earlier report of the same part has: it is not run again."""
+
+    units: tuple[dict[str, Any], ...] = ()  # rows of those that ended and did not fail
+    commits: tuple[str, ...] = ()
+    seconds: float = 0.0
+
+    @staticmethod
+    def of(path: Path, part: tuple[int, int]) -> Earlier:
+        """The report in `path`; ValueError unless it is one of `part`."""
+        try:
+            report = json.loads(path.read_text(encoding="utf-8"))
+            units = tuple(unit for unit in report["units"] if unit["state"] == DONE and not _has_failed(unit))
+            earlier = Earlier(units, (*report.get("earlier_commits", ()), report["commit"]), report["seconds"])
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise ValueError(f"{path} is no report of gpu.py: {error}") from None
+        if report.get("part") != _text(part):
+            raise ValueError(f"{path} is a report of part {report.get('part')}, not of {_text(part)}")
+        return earlier
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Of the units."""
+        return frozenset(unit["unit"] for unit in self.units)
+
+
+NOTHING_EARLIER = Earlier()
+
+
+def _has_failed(unit: dict[str, Any]) -> bool:
+    return any(each["outcome"] == FAILED for each in unit["tests"])
+
+
+def _text(part: tuple[int, int]) -> str:
+    return "/".join(map(str, part))
+
+
+def report_of(
+    runs: Sequence[UnitRun], part: tuple[int, int], device: str, seconds: float, earlier: Earlier = NOTHING_EARLIER
+) -> dict[str, Any]:
+    """All that is known now; `seconds` since the part began to be run this time."""
+    units = [*earlier.units, *map(_unit_row, runs)]
+    counts = Counter(each["outcome"] for unit in units for each in unit["tests"])
+    states = Counter(unit["state"] for unit in units)
+    own = commit()
     return {
         "date": today(),
-        "commit": commit(),
-        "part": "/".join(map(str, part)),
+        "commit": own,
+        "earlier_commits": sorted({each for each in earlier.commits if each != own}),
+        "part": _text(part),
         "device": device,
         "cores": os.cpu_count(),
-        "seconds": round(seconds, 1),
-        "complete": states[DONE] == len(runs),
+        "seconds": round(earlier.seconds + seconds, 1),
+        "complete": states[DONE] == len(units),
         "passed": counts[PASSED],
         "failed": counts[FAILED] + states[BROKEN],
         "skipped": counts[SKIPPED],
         "units_not_ended": states[WAITING] + states[RUNNING] + states[STOPPED],
         "units": units,
     }
+
+
+def _unit_row(run: UnitRun) -> dict[str, Any]:
+    row = {
+        "unit": run.unit.name,
+        "state": run.state,
+        "seconds": round(run.seconds, 1),
+        "expected_seconds": round(run.unit.seconds, 1),
+        "tests": [_row(each) for each in run.outcomes],
+    }
+    return row | ({"printed": run.printed()} if run.state == BROKEN else {})
 
 
 def _row(outcome: CheckOutcome) -> dict[str, Any]:

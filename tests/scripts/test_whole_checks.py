@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from testing import everything, page
-from testing.gpu_report import report_of, seconds_in, summary
+from testing.gpu_report import Earlier, report_of, seconds_in, summary
 from testing.outcomes import CheckOutcome, read_outcomes, share_of
 from testing.run_units import BROKEN, DONE, STOPPED, UnitRun, run_units
 from testing.units import FOLDERS, ROOT, Unit, all_units, part_of
@@ -73,6 +73,26 @@ def test_what_was_run_is_in_the_report_however_it_ended(tmp_path):
     path = tmp_path / "report.json"
     path.write_text(json.dumps(report))
     assert seconds_in([path]) == {"a": 2.0}, "of the unit that ended"
+
+
+def test_a_run_goes_on_from_a_report(tmp_path):
+    def done(name: str, outcome: str) -> UnitRun:
+        run = UnitRun(Unit(name, 1.0), tmp_path / f"{name}.jsonl", tmp_path / f"{name}.txt", DONE, seconds=1.0)
+        run.lines.write_text(json.dumps({"name": name, "outcome": outcome, "seconds": 1.0, "note": ""}) + "\n")
+        return run
+
+    path = tmp_path / "report.json"
+    waiting = UnitRun(Unit("c", 1.0), tmp_path / "c.jsonl", tmp_path / "c.txt")
+    path.write_text(json.dumps(report_of([done("a", "passed"), done("b", "failed"), waiting], (1, 2), "cpu", 4.0)))
+    earlier = Earlier.of(path, (1, 2))
+    assert earlier.names == {"a"}, "what failed is run again"
+    report = report_of([done("b", "passed"), done("c", "passed")], (1, 2), "cpu", 2.0, earlier)
+    assert report["complete"] and (report["passed"], report["failed"], report["seconds"]) == (3, 0, 6.0)
+    with pytest.raises(ValueError, match="part 1/2, not of 2/2"):
+        Earlier.of(path, (2, 2))
+    path.write_text("{}")
+    with pytest.raises(ValueError, match="no report"):
+        Earlier.of(path, (1, 2))
 
 
 def test_a_line_that_is_half_written_is_left_out(tmp_path):

@@ -22,13 +22,13 @@ _numbers = itertools.count(1)
 
 def keep_in(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Kernels are kept in `folder`, which has none, but Warp's header: to parse it takes three seconds."""
-    start_warp()
     put_header(folder)
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(folder))
 
 
 def put_header(folder: Path) -> None:
     """Put Warp's header into `folder`, parsed as for the kernels of all tests."""
+    start_warp()
     where = wp._src.context.runtime.get_clang_pch_dir()
     if where is None:  # there is no compiler for the CPU
         return
