@@ -18,7 +18,7 @@ from .film import Film
 from .measure.batching import batching_statistics
 from .measure.parts import Parts
 from .measure.statistics import render_statistics
-from .observers import Progress, Tile
+from .observers import Cancel, Progress, Tile
 from .programs.footprints import image_statistics
 from .scene.description import Scene
 from .scene.features import SceneFeatures
@@ -52,7 +52,7 @@ class Job:
     sample_first: int
     on_tile: Callable[[Tile], None]
     on_progress: Callable[[Progress], None]
-    cancelled: Callable[[], bool]
+    cancelled: Callable[[], bool | Cancel]
     watchers: list[SnapshotWatcher]
     parts: Parts
     warnings: list[str]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import enum
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
@@ -30,6 +31,12 @@ class Progress:
     kernels: str = ""  # that render: "general" or "specialised"; empty before the first ray
     compiles: bool = False  # specialised kernels are compiled beside, to take over or for the next render
     seconds_rendering: float = 0.0  # part of `seconds_elapsed` in which rays are traced; `rays_per_second` refers to it
+
+
+class Cancel(enum.Enum):
+    """How a render is ended before its end, for those to whom True is not enough."""
+
+    AT_ONCE = enum.auto()  # paths under way are given up, and no render goes on from the film
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from .film.tile import FinishedTile
 from .job import Job, progress_of
 from .measure.hardware import hardware_counters
 from .measure.parts import Parts
-from .observers import Progress, RenderObserver, Tile, call_all
+from .observers import Cancel, Progress, RenderObserver, Tile, call_all
 from .programs.requests import prepared_scene
 from .scene.description import Scene
 from .scene.features import SceneFeatures, derive_features
@@ -115,7 +115,7 @@ class Session:
         *,
         on_tile: Callable[[Tile], None] | None = None,
         on_progress: Callable[[Progress], None] | None = None,
-        cancelled: Callable[[], bool] | None = None,
+        cancelled: Callable[[], bool | Cancel] | None = None,
         observers: Sequence[RenderObserver] = (),
         sample_first: int = 0,
         resume: Film | None = None,
@@ -130,7 +130,8 @@ class Session:
             settings: default: the session's.
             on_tile, on_progress: called on this thread with each finished `Tile`, and several times a second with
                 `Progress`.
-            cancelled: asked several times a second, on this thread; True ends the render soon, with what is done.
+            cancelled: asked many times a second, on this thread; True ends the render soon, with what is done, and
+                `Cancel.AT_ONCE` sooner, with a film that no render can go on from.
             observers: receive tiles and progress too, and a `Snapshot` at each sample count that they ask for and the
                 render comes by, and at its end.
             sample_first: index of the first sample of every pixel; films of adjoining ranges merge to one
@@ -206,14 +207,14 @@ class Session:
         *,
         on_tile: Callable[[Tile], None],
         on_progress: Callable[[Progress], None],
-        cancelled: Callable[[], bool],
+        cancelled: Callable[[], bool | Cancel],
         observers: Sequence[RenderObserver],
     ) -> Job:
         parts.enter("check")
         first = self._at[0]
         whole = scene if first.kept.is_sound else checked_scene(scene)
         first.kept.is_sound = first.kept.is_known and whole is scene
-        displaced = first.displaced(whole, settings, parts, on_progress, cancelled)
+        displaced = first.displaced(whole, settings, parts, on_progress, lambda: bool(cancelled()))
         parts.enter("check")
         was_cancelled = displaced is None
         checked = prepared_scene(whole if displaced is None else displaced, settings)
@@ -291,6 +292,7 @@ class Session:
                 except BaseException:
                     stop.set()  # the pool waits for the others
                     raise
+        job.cancelled = is_cancelled
         return [each for each in made if each] if all(made) else []
 
     def _beside(self, job: Job, at: SessionDevice, devices: Sequence[wp.Device], cancelled: Callable[[], bool]) -> Job:

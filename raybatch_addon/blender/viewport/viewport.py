@@ -82,6 +82,7 @@ class Viewport:
         if picture is not None:
             try:
                 self._texture.draw(engine, depsgraph.scene, picture, self._exposure)
+                self.render.note_drawn(picture)
             except Exception as error:  # of the driver: a traceback at each draw would help nobody
                 self._error = f"the picture could not be drawn: {type(error).__name__}: {error}"
         self.seconds.append(time.perf_counter() - start)

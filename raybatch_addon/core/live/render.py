@@ -16,12 +16,19 @@ from ..denoise.picture import denoised
 from ..errors import RayBatchError
 from ..film import Film
 from ..measure.snapshot import Snapshot
-from ..observers import Progress, RenderObserver, Tile
+from ..observers import Cancel, Progress, RenderObserver, Tile
 from ..scene.description import Scene
 from ..session import Session
 from ..settings.settings import RenderSettings
 from .picture import LivePicture, LiveRequest, TileCanvas
 from .steps import Pace, coarse, without_splits
+
+# The first picture after an edit has so much time to be drawn before the next one is rendered [s]
+REST_SECONDS = 0.15
+
+# What a render does before its first ray is told where it takes longer than this [s]: a draw that shows no new picture
+# would delay the one that does
+QUIET_SECONDS = 0.3
 
 _STAGES = {"build": "Building the scene", "compile": "Loading kernels", "render": "Rendering"}
 
@@ -55,7 +62,8 @@ class LiveRender:
     """Renders in a thread of its own what it is shown, the newest alone; it sleeps when that has all its samples.
 
     A picture of a request is there after its first, coarse step, which a newer request does not end: who moves a
-    slider sees pictures meanwhile. All other steps end at once.
+    slider sees pictures meanwhile. All other steps end at once. After that step it rests until the picture is drawn:
+    where the processor draws too, a draw would take twice as long beside a render.
     """
 
     def __init__(self, source: SessionSource, on_change: Callable[[], None] = lambda: None) -> None:
@@ -68,6 +76,7 @@ class LiveRender:
         # a finest picture that was stopped; one with all its samples while it was denoised
         self._kept: tuple[LiveRequest, Film] | None = None
         self._shown_since_lent = False
+        self._drawn: LivePicture | None = None  # the last one that was, by somebody who tells
         self._closed = False
         self._thread: threading.Thread | None = None
         self.picture: LivePicture | None = None
@@ -92,6 +101,12 @@ class LiveRender:
         with self._changed:
             self._request = self.picture = None
             self.state, self.warnings = LiveState(), ()
+
+    def note_drawn(self, picture: LivePicture) -> None:
+        """`picture` is being drawn."""
+        with self._changed:
+            self._drawn = picture
+            self._changed.notify_all()
 
     @property
     def is_idle(self) -> bool:
@@ -129,7 +144,8 @@ class LiveRender:
                 self.state = replace(self.state, stage="Waiting for another render")
             if self._request is None:  # it was dropped meanwhile
                 self._kept, self.state = None, LiveState()
-            self._on_change()
+            if finished or not self._is_superseded(request):  # else there is no more to show than before
+                self._on_change()
         self._kept = None
 
     def _next(self) -> LiveRequest | None:
@@ -168,15 +184,31 @@ class LiveRender:
                     shown = self._shown_side(request)
                     if (shown is None or side < shown) and not self._render_coarse(session, request, side):
                         return False
+                    if shown is None:
+                        self._rest(request)
             return self._render_fine(session, request)
+
+    def _rest(self, request: LiveRequest) -> None:
+        """Wait for the draw of the first picture of `request`, if anybody tells of draws, but not for long."""
+        picture = self.picture
+        with self._changed:
+            if self._drawn is not None and picture is not None:
+                self._changed.wait_for(
+                    lambda: self._drawn is picture or self._is_superseded(request) or self._must_stop(), REST_SECONDS
+                )
 
     def _shown_side(self, request: LiveRequest) -> int | None:
         """Side of the pixels of the picture of `request` that is shown, if there is one."""
         return self.picture.side if self.picture is not None and self.picture.request is request else None
 
-    def _stops(self, request: LiveRequest) -> bool:
-        """Whether the step under way ends: the first picture of a request comes whatever follows."""
-        return self._must_stop() or (self._shown_side(request) is not None and self._is_superseded(request))
+    def _stops(self, request: LiveRequest) -> bool | Cancel:
+        """Whether the step under way ends: the first picture of a request comes whatever follows. What nobody asks for
+        any more ends at once; what makes way for another render goes on later.
+        """
+        is_superseded = self._is_superseded(request)
+        if self._must_stop() or (self._shown_side(request) is not None and is_superseded):
+            return Cancel.AT_ONCE if is_superseded else True
+        return False
 
     def _render_coarse(self, session: Session, request: LiveRequest, side: int) -> bool:
         scene, stops = coarse(request.scene, side), lambda: self._stops(request)
@@ -233,15 +265,17 @@ class LiveRender:
         *,
         side: int,
         canvas: TileCanvas,
-        stops: Callable[[], bool],
+        stops: Callable[[], bool | Cancel],
         shown: _Shown | None = None,
         resumed: Film | None = None,
     ) -> Film:
         """A render into `canvas`, which also measures how long its pixels take."""
 
+        begun, told = time.perf_counter(), ""
+
         def on_progress(progress: Progress) -> None:
+            nonlocal told
             stage = _STAGES.get(progress.stage, "") if not progress.message else progress.message
-            is_new = stage != self.state.stage
             self.state = LiveState(
                 stage=stage,
                 samples=progress.samples_done if shown else 0.0,
@@ -250,7 +284,8 @@ class LiveRender:
                 memory_bytes=progress.memory_bytes,
                 compiles=progress.compiles,
             )
-            if is_new and progress.stage != "render":
+            if stage != told and progress.stage != "render" and time.perf_counter() - begun > QUIET_SECONDS:
+                told = stage
                 self._on_change()
 
         already = resumed.sample_total if resumed else 0
@@ -273,6 +308,8 @@ class LiveRender:
         """False where the denoiser was stopped, as a render would be, and what it works on is still to be shown."""
         if self._closed or not canvas.passes:
             return True
+        if self._is_superseded(request) and self._shown_side(request) is not None:
+            return True  # a draw of it would delay that of the newer one
         pixels = canvas.picture()
         if request.denoiser is not None:
             if samples == 1:  # it takes a while until the first one without noise is there
@@ -280,7 +317,7 @@ class LiveRender:
             if self._is_superseded(request):
                 return True
             try:
-                pixels = denoised(canvas.passes, request.settings, request.denoiser, lambda: self._stops(request))
+                pixels = denoised(canvas.passes, request.settings, request.denoiser, lambda: bool(self._stops(request)))
             except DenoiseStoppedError:
                 return False
         self._show(LivePicture(request, pixels, side, canvas.origin, samples))

@@ -8,7 +8,7 @@ from ..scene.description import Scene
 from ..settings.settings import RenderSettings
 
 # What the first picture after an edit is planned to take, without a tree's build [s]
-FIRST_SECONDS = 0.12
+FIRST_SECONDS = 0.08
 # Part of it that does not depend on the number of pixels [s]
 FIXED_SECONDS = 0.03
 # Side of the coarsest pixels, in pixels of the finest picture, and that of the first picture of all

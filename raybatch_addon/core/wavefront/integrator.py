@@ -45,7 +45,7 @@ from .tracers.choose import make_tracer
 from .tracers.interface import Tracer
 from .volumes.volumes import begin_counts, state_of, with_state
 
-# A stopped tile whose rays are not at their end after this long gives them up [s], unless it is asked to wait longer
+# A stopped tile whose rays are not at their end after this long gives them up [s], unless it is asked otherwise
 DRAIN_SECONDS = 0.25
 TAIL_SHARE = 0.125  # of the slots: below it, without paths to come, turns do little
 
@@ -125,7 +125,7 @@ class TileIntegrator:
         begin_counts(self.volumes)
         self.items_done = 0  # paths that came to their end, for progress
         self.tail_seconds = 0.0  # of the last `render`: from its last full waves to the picture
-        self.patience: float | None = None  # how long a stopped tile waits for its rays [s]; None: `DRAIN_SECONDS`
+        self.patience = DRAIN_SECONDS  # of a stopped tile [s]; 0: it gives up in the middle of a turn
 
     def render(
         self, state: TileState, sample_first: int, sample_count: int, stop: Callable[[], bool], most: float = math.inf
@@ -146,15 +146,16 @@ class TileIntegrator:
             camera = NO_RAYS
             if stopped_at is None:
                 camera = self._generate(state, work, items)
-            elif self._alive and time.perf_counter() - stopped_at > (self.patience or DRAIN_SECONDS):
+            elif self._alive and time.perf_counter() - stopped_at >= self.patience:
                 self._give_up(state)
             if tail_from is None and state.items_begun == items and self._alive <= TAIL_SHARE * self.path_count:
                 tail_from = time.perf_counter()
             if self._alive == 0:
                 break
             back = self._trace(work, film, camera, stop)
-            self._shade(work, film, min(back, self._alive))
-            done += self._finish_paths(work, film, stopped_at is None and state.items_begun < items)
+            if self.patience > 0.0 or not stop():  # else paths are given up, whatever came back
+                self._shade(work, film, min(back, self._alive))
+                done += self._finish_paths(work, film, stopped_at is None and state.items_begun < items)
         tile = state.tile
         if state.half:
             # the first sample of the other half decides
@@ -243,18 +244,17 @@ class TileIntegrator:
         """Rays go on; how many came back at most."""
         waves = [(RayKind.CLOSEST, camera), (RayKind.CLOSEST, self._bounced), (self._shadow_kind, self._shadow)]
         waves = [(kind, rays) for kind, rays in waves if rays.bound]
+        self._bounced = self._shadow = NO_RAYS
         if self._tracer is None:
             # nothing to hit: ray slots say so from the start
             for kind, rays in waves:
                 self._take_back(kind, rays, work, film)
             return sum(rays.bound for _, rays in waves)
         for kind, rays in waves:
-            if self._order and self._scene.tracing.waits:
-                # rays that wait are sorted before; a tracer takes them in at once
-                for part in self._order.parts(kind, rays, self._rays):
-                    self._tracer.submit(kind, part)
-            else:
-                self._tracer.submit(kind, rays)
+            # rays that wait are sorted before; a tracer takes them in at once
+            is_sorted = self._order and self._scene.tracing.waits
+            for part in self._order.parts(kind, rays, self._rays) if is_sorted else (rays,):
+                self._tracer.submit(kind, part)
         self._tracer.advance(stop)
         finished = self._tracer.take_finished()
         for kind, back in finished:

@@ -26,7 +26,13 @@ WAIT_SECONDS = 120.0  # for a picture at most
 
 
 def _orbit(step: int) -> None:
-    watched.view()["region_data"].view_distance = 14.0 + 0.05 * (step % 20 + 1)
+    there = watched.view()["region_data"]
+    there.view_perspective, there.view_distance = "PERSP", 14.0 + 0.05 * (step % 20 + 1)
+
+
+def _camera(step: int) -> None:
+    watched.view()["region_data"].view_perspective = "CAMERA"
+    bpy.context.scene.camera.location.x = 4.5 + 0.02 * (step + 1)
 
 
 def _world(step: int) -> None:
@@ -58,12 +64,14 @@ def _place(step: int) -> None:
 
 def _mesh(step: int) -> None:
     mesh = bpy.data.objects["Grid 2"].data
-    other = watched.grid_mesh("other", 0.1 * (step + 1))
-    corners = [0.0] * (3 * len(mesh.vertices))
-    other.vertices.foreach_get("co", corners)
-    mesh.vertices.foreach_set("co", corners)
+    mesh.vertices.foreach_set("co", watched.grid_corners(0.1 * (step + 1)))
     mesh.update()
-    bpy.data.meshes.remove(other)
+
+
+def _modifier(step: int) -> None:
+    chosen = bpy.data.objects["Grid 3"]
+    bend = chosen.modifiers.get("Bend") or chosen.modifiers.new("Bend", "SIMPLE_DEFORM")
+    bend.deform_method, bend.angle = "BEND", 0.01 * (step + 1)
 
 
 def _visibility(step: int) -> None:
@@ -72,12 +80,14 @@ def _visibility(step: int) -> None:
 
 EDITS: dict[str, Callable[[int], None]] = {
     "view": _orbit,
+    "camera": _camera,
     "world": _world,
     "light": _light,
     "value": _value,
     "graph": _graph,
     "transform": _place,
     "mesh": _mesh,
+    "modifier": _modifier,
     "visibility": _visibility,
 }
 

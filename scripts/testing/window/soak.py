@@ -3,10 +3,11 @@
     blender --window-geometry 0 0 W H --python scripts/testing/window/soak.py -- REPORT.json [COUNT [SEED]]
 
 COUNT edits (default: 2,000) are drawn with SEED (default: 1): of values, graphs, places, meshes, modifiers, visibility,
-views and lamps; objects and materials that come and go, undo and redo, sculpt and edit mode, playback, the render
-region, another engine for a while, another shading, another file. A third of them do not wait for a picture. Reported
-are errors of the viewport and of Python, threads, and the memory of the process after each tenth of them; Blender
-prints a traceback or ends where something is worse than that.
+views and lamps; objects and materials that come and go, undo and redo, sculpt and edit mode, strokes of a brush,
+playback, the render region, another engine for a while, another shading, another file. A third of them do not wait for
+a picture. Reported are errors of the viewport and of Python, threads, and the memory of the process after each tenth of
+them; Blender prints a traceback or ends where something is worse than that. The exit code is 1 after errors, or where
+memory or threads grew by more than a tenth.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ import watched
 GRIDS, QUADS = 6, 40
 WAIT_SECONDS = 0.5  # for a picture at most: none comes of an edit of what is hidden
 RECORDS = 10  # of memory
+MOST_GROWTH = 1.1  # of memory and threads, from the first third of the records to the last
 
 
 def memory_bytes() -> int:
@@ -63,7 +65,8 @@ class Soak:
         self.failed: list[str] = []
         self.records: list[dict[str, int]] = []
         self.number, self.made_at, self.waits, self.begun = 0, 0.0, False, time.perf_counter()
-        self.file = str(Path(tempfile.mkdtemp()) / "soak.blend")
+        self.folder = tempfile.TemporaryDirectory()
+        self.file = str(Path(self.folder.name) / "soak.blend")
         self.stage = self.prepare
 
     # --- kinds of edits
@@ -162,6 +165,31 @@ class Soak:
         bpy.context.view_layer.objects.active = chosen
         self._run(bpy.ops.object.mode_set, mode=self.random.choice(("SCULPT", "EDIT", "VERTEX_PAINT")))
 
+    def edit_sculpt(self) -> None:
+        chosen = self._any()
+        chosen.hide_set(False)
+        bpy.context.view_layer.objects.active = chosen
+        self._run(bpy.ops.object.mode_set, mode="SCULPT")
+        region = watched.view()["region"]
+        across = self.random.uniform(0.3, 0.7) * region.width
+        stroke = [
+            {
+                "name": "stroke",
+                "location": (0.0, 0.0, 0.0),
+                "mouse": (across + 10.0 * number, 0.5 * region.height),
+                "mouse_event": (across + 10.0 * number, 0.5 * region.height),
+                "pressure": 1.0,
+                "size": 50.0,
+                "pen_flip": False,
+                "x_tilt": 0.0,
+                "y_tilt": 0.0,
+                "time": 0.05 * number,
+                "is_start": number == 0,
+            }
+            for number in range(4)
+        ]
+        self._run(bpy.ops.sculpt.brush_stroke, stroke=stroke)
+
     def edit_playback(self) -> None:
         chosen = self._any()
         if chosen.animation_data is None:
@@ -247,7 +275,7 @@ class Soak:
         self.number, self.made_at = self.watch.asked, time.perf_counter()
         self.made[kind] += 1
         try:
-            if kind != "mode":
+            if kind not in ("mode", "sculpt"):
                 leave_modes()
             self.kinds[kind]()
         except Exception:
@@ -279,6 +307,7 @@ class Soak:
     def report(self) -> None:
         """Write what was found."""
         self._record()
+        self.folder.cleanup()
         watched.write(
             self.path,
             {
@@ -288,15 +317,28 @@ class Soak:
                 "seconds": round(time.perf_counter() - self.begun),
                 "callbacks": len(self.watch.callbacks),
                 "records": self.records,
+                "grew": self.grew,
                 "failed": self.failed,
                 "errors": sorted(set(self.watch.errors)),
             },
         )
 
     @property
+    def grew(self) -> dict[str, float]:
+        """Memory and threads at the end over those after the first edits, each the least of a third of the records: a
+        scene's size changes, and a leak stays.
+        """
+        third = max(len(self.records) // 3, 1)
+        first, last = self.records[1 : 1 + third], self.records[-third:]
+        return {
+            name: round(min(each[name] for each in last) / min(each[name] for each in first), 3)
+            for name in ("memory_bytes", "threads")
+        }
+
+    @property
     def is_good(self) -> bool:
-        """Whether nothing failed."""
-        return not self.failed and not self.watch.errors
+        """Whether nothing failed or grew."""
+        return not self.failed and not self.watch.errors and max(self.grew.values()) <= MOST_GROWTH
 
     def step(self) -> bool:
         """What comes next; True at the end."""

@@ -105,16 +105,21 @@ def make_scene(count: int = 10, quads: int = GRID) -> None:
     scene.world.use_nodes = True
 
 
+def grid_corners(phase: float, quads: int = GRID) -> np.ndarray:
+    """Positions of the vertices of a grid of `quads` by `quads` in waves, float32, flat."""
+    axis = np.linspace(-1.3, 1.3, quads + 1, dtype=np.float32)
+    x, y = np.meshgrid(axis, axis)
+    return np.stack([x, y, 0.2 * np.sin(5 * x + np.float32(phase)) * np.cos(4 * y)], axis=-1).ravel()
+
+
 def grid_mesh(name: str, phase: float, quads: int = GRID) -> bpy.types.Mesh:
     """A grid of `quads` by `quads` in waves."""
     mesh = bpy.data.meshes.new(name)
-    axis = np.linspace(-1.3, 1.3, quads + 1, dtype=np.float32)
-    x, y = np.meshgrid(axis, axis)
-    corners = np.stack([x, y, 0.2 * np.sin(5 * x + phase) * np.cos(4 * y)], axis=-1).reshape(-1, 3)
+    corners = grid_corners(phase, quads)
     first = (np.arange(quads)[:, None] * (quads + 1) + np.arange(quads)).reshape(-1, 1)
     faces = first + np.array([0, 1, quads + 2, quads + 1])
-    mesh.vertices.add(len(corners))
-    mesh.vertices.foreach_set("co", corners.ravel())
+    mesh.vertices.add(len(corners) // 3)
+    mesh.vertices.foreach_set("co", corners)
     mesh.loops.add(faces.size)
     mesh.loops.foreach_set("vertex_index", faces.ravel().astype(np.int32))
     mesh.polygons.add(len(faces))

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...film.tile import FinishedTile
 from ...measure.snapshot import Snapshot
-from ...observers import RenderObserver
+from ...observers import Cancel, RenderObserver
 from .resume import ResumeState
 from .rounds import sample_marks
 
@@ -53,6 +53,6 @@ class RenderEvents:
     on_tile: Callable[[FinishedTile, dict[str, np.ndarray]], None]  # with the passes of its rectangle
     # arguments: share of the work that is done, mean samples of a pixel, seconds of rendering
     on_progress: Callable[[float, float, float], None]
-    cancelled: Callable[[], bool]
+    cancelled: Callable[[], bool | Cancel]
     watchers: Sequence[SnapshotWatcher]
     keeper: StateKeeper | None = None

@@ -18,16 +18,21 @@ from ...device.failures import named_failures
 from ...film import Film
 from ...film.tile import FinishedTile
 from ...measure.snapshot import Snapshot
+from ...observers import Cancel
 from ...scene.passes import GUIDE_PASSES
-from ..integrator import TileIntegrator, TileState
+from ..integrator import DRAIN_SECONDS, TileIntegrator, TileState
 from .deal import Deal
 from .events import RenderEvents
 from .resume import ResumeState
 from .steps import TileSteps
 from .summary import complaints, error_summary, ray_totals
 
-# How often the calling thread looks up from waiting: for results, for a cancel, to report progress [s]
-POLL_SECONDS = 0.05
+# How often the calling thread looks up from waiting for results, to see whether it is cancelled [s]
+POLL_SECONDS = 0.01
+# How often it reports progress meanwhile [s]
+PROGRESS_SECONDS = 0.05
+# A render that one worker ends so soon begins no thread [s]
+SHORT_SECONDS = 0.05
 # A cancelled render that is kept waits this long for the rays that are under way, without which it cannot go on [s]
 KEPT_PATIENCE = 5.0
 # Of its part of all paths that are left, a worker begins so much of a tile before that is shown
@@ -144,11 +149,12 @@ class Rendering:
         def look() -> None:
             """See, on the calling thread, whether the workers are to stop."""
             nonlocal is_cancelled, is_kept
-            if not is_cancelled and events.cancelled():
+            if not is_cancelled and (cancel := events.cancelled()):
                 is_cancelled = True
-                stop.set()
+                patience = 0.0 if cancel is Cancel.AT_ONCE else DRAIN_SECONDS
                 for integrator in self._integrators:
-                    integrator.patience = KEPT_PATIENCE if events.keeper else None
+                    integrator.patience = KEPT_PATIENCE if events.keeper else patience
+                stop.set()
             elif events.keeper and not stop.is_set() and events.keeper.is_due():
                 is_kept = True
                 stop.set()
@@ -173,7 +179,7 @@ class Rendering:
                 results.put(None)  # this worker is through
 
         for integrator in self._integrators:
-            integrator.patience = math.inf if events.keeper else None
+            integrator.patience = math.inf if events.keeper else DRAIN_SECONDS
         threads = [threading.Thread(target=work, args=(i,), daemon=True) for i in self._integrators]
         working = len(threads)
         look()  # before there is a path: it may have been cancelled while the scene was built
@@ -182,6 +188,7 @@ class Rendering:
             work(self._integrators[0], *self._alone(look, stop))
         for thread in threads:
             thread.start()
+        reported = time.perf_counter()
         try:
             while working:
                 look()
@@ -194,8 +201,10 @@ class Rendering:
                     else:
                         self._hand_out(result)
                 except queue.Empty:
-                    pass
+                    if time.perf_counter() - reported < PROGRESS_SECONDS:
+                        continue
                 self._report_progress()
+                reported = time.perf_counter()
         finally:
             stop.set()
             for thread in threads:
@@ -203,12 +212,12 @@ class Rendering:
         return is_kept and not is_cancelled
 
     def _is_short(self) -> bool:
-        """Whether the one worker is through before the calling thread would look up, by what it took for a tile of the
-        same scene: then to begin a thread may take as long as that.
+        """Whether the one worker is soon through, by what it took for a tile of the same scene: then to begin a thread
+        may take as long as that.
         """
         if len(self._integrators) > 1 or self._steps is not None:
             return False
-        return self._state.items_open * self._integrators[0].seconds_a_path < POLL_SECONDS
+        return self._state.items_open * self._integrators[0].seconds_a_path < SHORT_SECONDS
 
     def _alone(
         self, look: Callable[[], None], stop: threading.Event

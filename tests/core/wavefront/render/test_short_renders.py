@@ -86,13 +86,13 @@ def test_only_workers_that_were_fast_before_have_no_thread(threads, monkeypatch)
     session, scene = Session(DEVICE), scenes.mixed(FRAME)
     if not session.device.is_cpu:
         pytest.skip("workers are kept on a CPU alone")
-    monkeypatch.setattr(rendering, "POLL_SECONDS", 3600.0)
+    monkeypatch.setattr(rendering, "SHORT_SECONDS", 3600.0)
     main = threading.main_thread()
     for expected in (False, True):
         del threads[:]
         session.render(scene, SETTINGS)
         assert {thread is main for thread in threads} == {expected}
-    monkeypatch.setattr(rendering, "POLL_SECONDS", 1e-6)
+    monkeypatch.setattr(rendering, "SHORT_SECONDS", 1e-6)
     del threads[:]
     session.render(scene, SETTINGS)
     assert main not in threads, "it takes longer than that"
