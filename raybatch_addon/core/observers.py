@@ -36,7 +36,7 @@ class Progress:
 class Cancel(enum.Enum):
     """How a render is ended before its end, for those to whom True is not enough."""
 
-    AT_ONCE = enum.auto()  # paths under way are given up, and no render goes on from the film
+    AT_ONCE = enum.auto()  # paths under way are given up: no render goes on from such a film
 
 
 @dataclass(frozen=True)

@@ -131,7 +131,7 @@ class Session:
             on_tile, on_progress: called on this thread with each finished `Tile`, and several times a second with
                 `Progress`.
             cancelled: asked many times a second, on this thread; True ends the render soon, with what is done, and
-                `Cancel.AT_ONCE` sooner, with a film that no render can go on from.
+                `Cancel.AT_ONCE` sooner: paths under way are missing from the film, and no render goes on from it.
             observers: receive tiles and progress too, and a `Snapshot` at each sample count that they ask for and the
                 render comes by, and at its end.
             sample_first: index of the first sample of every pixel; films of adjoining ranges merge to one
@@ -169,7 +169,8 @@ class Session:
         if checkpoint:
             job.show(film)
         sharing = self._sharing(job.path_total)
-        state = job.begin(film, after, [each.device for each in sharing])
+        devices = [each.device for each in sharing]
+        state = job.begin(film, after, devices)
         if job.settings.kernel_tier == "AUTO":
             job.chosen["kernel_tier"] = Choice("GENERAL" if job.tier.general else "SPECIALISED", job.tier.why)
         places = self._prepare(job, sharing)
@@ -186,9 +187,9 @@ class Session:
             film.resume_state = state
         modules = [module for place in places for module in place.modules]
         integrators = [each for place in places for each in place.integrators]
-        scene_there = places[0].scene if places else None
-        devices = [each.device for each in sharing]
-        film.statistics = job.statistics(film, state, integrators, modules, scene_there, devices)
+        film.statistics = job.statistics(
+            film, state, integrators, modules, places[0].scene if places else None, devices
+        )
         job.rendering = None  # it leads back to the job: the film would stay until somebody looks for cycles
         return film
 

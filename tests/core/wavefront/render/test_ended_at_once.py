@@ -31,7 +31,7 @@ def test_the_next_film_has_the_same_bits(monkeypatch, changes):
     with closing(Session(DEVICE)) as session:
         for _ in range(3):
             del turns[:], shaded[:]
-            film = session.render(scene, settings, cancelled=cancelled)
+            film = session.render(scene, settings.replace(sample_count=1_000_000), cancelled=cancelled)
             assert not film.complete and film.resume_state is None
         monkeypatch.undo()
         assert session.render(scene, settings).passes["Combined"].tobytes() == whole
@@ -48,5 +48,7 @@ def test_no_path_is_shaded_after_it():
             return real(self, *args)
 
         patch.setattr(TileIntegrator, "_shade", shade)
-        film = session.render(scene, SETTINGS, cancelled=lambda: Cancel.AT_ONCE if ended else False)
+        film = session.render(
+            scene, SETTINGS.replace(sample_count=1_000_000), cancelled=lambda: Cancel.AT_ONCE if ended else False
+        )
         assert not film.complete and ended
