@@ -134,11 +134,11 @@ class _Legend:
 
     @staticmethod
     def of(runs: Sequence[Run], x: LogAxis, size: float) -> _Legend:
-        """Names are cut where they would take more than most of the pane."""
+        """Of names that would take more than most of the pane the last parts are left out; numbers stay."""
         names = names_of(runs)
         letters = int((x.end - x.start) * 0.6 / text_width("x", size))
         lines = tuple(
-            (run, _cut(names[run.number] + (" (running)" if run.state == RUNNING else ""), letters)) for run in runs
+            (run, _fitting(names[run.number], " (running)" if run.state == RUNNING else "", letters)) for run in runs
         )
         width = max((text_width(text, size) for _, text in lines), default=0) + 5 * size
         return _Legend(lines, x.end - size - width, (line_height(size) * len(lines) + 1.6 * size) if lines else 0.0)
@@ -173,5 +173,8 @@ def _error_axis(runs: Sequence[Run], target: float, x: LogAxis, bottom: float, t
     return replace(axis, high=axis.high * (axis.high / axis.low) ** share)
 
 
-def _cut(text: str, letters: int) -> str:
-    return text if len(text) <= letters else text[: max(letters - 3, 1)].rstrip(" ,") + "..."
+def _fitting(name: str, state: str, letters: int) -> str:
+    """`name` and `state`, without the last parts of the name that do not fit in so many letters."""
+    while len(name + state) > letters and ", " in name:
+        name = name.rpartition(", ")[0]
+    return name + state

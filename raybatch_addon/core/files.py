@@ -17,6 +17,9 @@ else:
     import fcntl
 
 OWNER = "owner"  # the file in a temporary folder that its process holds locked as long as it lives
+# What names of such folders begin with, by what is in them
+KERNELS_PREFIX, VOLUMES_PREFIX = "raybatch-kernels-", "raybatch-volumes-"
+OWNED_PREFIXES = (KERNELS_PREFIX, VOLUMES_PREFIX)
 _numbers = itertools.count()
 
 
@@ -79,6 +82,35 @@ def owned_folder(prefix: str) -> tuple[Path, int] | None:
         shutil.rmtree(folder, ignore_errors=True)
         raise
     return folder, handle
+
+
+@contextlib.contextmanager
+def temporary_folder(prefix: str) -> Iterator[Path]:
+    """A new temporary folder for the time of the block, whose name begins with `prefix`, one of `OWNED_PREFIXES`: where
+    the process is killed meanwhile, the next one that starts Warp removes it. Raises `OSError`.
+    """
+    owned = owned_folder(prefix)
+    if owned is None:
+        with tempfile.TemporaryDirectory(prefix=prefix) as folder:
+            yield Path(folder)
+        return
+    try:
+        yield owned[0]
+    finally:
+        give_up(*owned)
+
+
+def remove_if_left(folder: Path | str) -> bool:
+    """Remove `folder` where its process ended without doing so; returns whether it is a folder that a process holds, or
+    held, at all. Raises `OSError`, as where it is another user's.
+    """
+    owner = Path(folder) / OWNER
+    if not owner.exists():
+        return False
+    handle = lock_now(owner)
+    if handle is not None:
+        give_up(folder, handle)
+    return True
 
 
 def give_up(folder: Path | str, handle: int) -> None:

@@ -229,7 +229,7 @@ class Session:
         warnings = [*checked.warnings, *plan.complaints, *self._unlike()]
         tier = choose_tier(features, settings.kernel_tier, self.device)
         if tier.complaint:
-            warnings.append(f"kernels are specialised on the scene, not GENERAL: {tier.complaint}")
+            warnings.append(f"kernels are specialised on the scene, not general: {tier.complaint}")
         return Job(
             scene=checked,
             settings=settings,

@@ -1,4 +1,4 @@
-"""Which settings have a say beside the others: panels grey those that have none."""
+"""Which settings have a say beside the others: panels grey those that have none, and say why."""
 
 from __future__ import annotations
 
@@ -6,32 +6,57 @@ from typing import Any
 
 from ..core.settings.settings import SETTINGS
 
-# Heard where rays wait in queues alone
-_OF_BATCHING = {"bucket_selection", "bucket_wait_max", "top_level_traversal", "geometry_budget", "geometry_store"} | {
-    info.name for info in SETTINGS.values() if info.group in ("QUEUES", "TREELETS")
+_NOT_BATCHED = ("batching", {"OFF", "REFERENCE"})
+_NOT_DENOISED = ("denoise", {"OFF"})
+_NOT_ADAPTIVE = ("adaptive_sampling", {"OFF"})
+# Choices of other settings that leave a setting nothing to say
+_SILENCED_BY: dict[str, tuple[tuple[str, set[str]], ...]] = {
+    "noise_threshold": (_NOT_ADAPTIVE,),
+    "adaptive_samples_min": (_NOT_ADAPTIVE,),
+    "mis": (("nee", {"OFF"}),),
+    "filter_width": (("pixel_filter", {"BOX"}),),
+    "texture_filter_width": (("texture_filter", {"OFF"}),),
+    "denoise_inputs": (_NOT_DENOISED,),
+    "denoise_prefilter": (_NOT_DENOISED, ("denoise_inputs", {"NONE"})),
+    "denoise_quality": (_NOT_DENOISED,),
+    # where no rays wait in queues
+    "bucket_selection": (_NOT_BATCHED,),
+    "bucket_wait_max": (_NOT_BATCHED,),
+    "top_level_traversal": (_NOT_BATCHED,),
+    "geometry_budget": (_NOT_BATCHED,),
+    "geometry_store": (_NOT_BATCHED,),
+    **{info.name: (_NOT_BATCHED,) for info in SETTINGS.values() if info.group in ("QUEUES", "TREELETS")},
 }
 _OF_CUDA = {"top_level_traversal", "register_cap", "block_size"}
 
 
-def is_heard(settings: Any, name: str) -> bool:
-    """Whether a setting has a say: no other already says what it would, or leaves nothing to say."""
-    if name.startswith("denoise_"):
-        guided = name != "denoise_prefilter" or settings.denoise_inputs != "NONE"
-        return name == "denoise_library" or (settings.denoise == "ON" and guided)
-    is_adaptive = settings.adaptive_sampling == "ON"
+def why_unheard(settings: Any, name: str) -> str:
+    """Why a setting has no say now: which other one already says what it would, or leaves nothing to say. Empty where
+    it has a say.
+
+    `settings`: `RenderSettings`, or properties named alike.
+    """
+    for ruling, values in _SILENCED_BY.get(name, ()):
+        if getattr(settings, ruling) in values:
+            return f"Unused with {setting_text(ruling, getattr(settings, ruling))}"
     if name == "error_estimate":
-        return not (settings.error_target > 0 or is_adaptive)
-    if name in ("noise_threshold", "adaptive_samples_min"):
-        return is_adaptive
-    if name == "mis":
-        return settings.nee != "OFF"
-    if name == "filter_width":
-        return settings.pixel_filter != "BOX"
-    if name == "texture_filter_width":
-        return settings.texture_filter != "OFF"
+        ruling = implies_error_estimate(settings)
+        return f"Implied by {SETTINGS[ruling].label}" if ruling else ""
     devices = {each.strip() for each in settings.device.lower().split(",")}
     if name in _OF_CUDA and devices == {"cpu"}:
-        return False
-    if name == "thread_count":  # AUTO and ALL may be the CPU
-        return not devices.isdisjoint({"auto", "all", "cpu"})
-    return name not in _OF_BATCHING or settings.batching in ("AUTO", "ON")
+        return "Unused on the CPU"
+    if name == "thread_count" and devices.isdisjoint({"auto", "all", "cpu"}):  # AUTO and ALL may be the CPU
+        return "Unused without the CPU"
+    return ""
+
+
+def implies_error_estimate(settings: Any) -> str:
+    """The name of a setting by which the error is estimated whatever Error Estimate says; empty where there is none."""
+    if settings.adaptive_sampling == "ON":
+        return "adaptive_sampling"
+    return "error_target" if settings.error_target > 0 else ""
+
+
+def setting_text(name: str, value: Any) -> str:
+    """A setting and its value as the panel names them."""
+    return f"{SETTINGS[name].label} {'off' if value == 'OFF' else SETTINGS[name].name_of(value)}"

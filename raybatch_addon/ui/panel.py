@@ -49,9 +49,16 @@ def is_engine(context: bpy.types.Context) -> bool:
     return context.scene is not None and context.engine == ENGINE
 
 
-def may_render(context: bpy.types.Context) -> bool:
-    """Whether an operator may begin a render: RayBatch is the engine, and no render is under way."""
-    return is_engine(context) and not bpy.app.is_job_running("RENDER")
+def may_render(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    """Whether `operator` may begin a render: RayBatch is the engine, and no render is under way, which its button says
+    when it is pointed at.
+    """
+    if not is_engine(context):
+        return False
+    if bpy.app.is_job_running("RENDER"):
+        operator.poll_message_set("A render is under way")
+        return False
+    return True
 
 
 def split_layout(layout, animated: bool = False):
@@ -59,6 +66,11 @@ def split_layout(layout, animated: bool = False):
     layout.use_property_split = True
     layout.use_property_decorate = animated
     return layout
+
+
+def choice_text(owner: bpy.types.bpy_struct, name: str) -> str:
+    """What the enumeration `name` of `owner` is set to, as panels show it."""
+    return bpy.types.UILayout.enum_item_name(owner, name, getattr(owner, name))
 
 
 def register_all(parts: Sequence[type | ModuleType]) -> None:
@@ -115,6 +127,14 @@ def value_width(context) -> float:
     return max(_LEAST_WIDTH, VALUE_SHARE * width)
 
 
+def draw_below_name(layout, owner: bpy.types.bpy_struct, name: str, text: str) -> None:
+    """A dropdown below its name `text`, where its choices are too long for a place beside names."""
+    column = layout.column(align=True)
+    column.use_property_split = False
+    column.label(text=text)
+    column.prop(owner, name, text="")
+
+
 def draw_lines(layout, context, texts: list[str], icon: str = "NONE", in_box: bool = False) -> None:
     """Labels with `texts`, broken into lines where the panel ends, or its box; `icon` stands before the first line of
     each.
@@ -125,6 +145,14 @@ def draw_lines(layout, context, texts: list[str], icon: str = "NONE", in_box: bo
     for text in texts:
         for i, line in enumerate(fitting_lines(text, width)):
             column.label(text=line, icon=icon if i == 0 or icon == "NONE" else "BLANK1")
+
+
+def draw_why(layout, context, why: str) -> None:
+    """Why what stands above is grey, grey as well; nothing where there is no reason."""
+    if why:
+        part = layout.column()
+        part.active = False
+        draw_lines(part, context, [why], "INFO")
 
 
 def draw_box(layout, context, text: str, icon: str = "INFO", alert: bool = False) -> None:

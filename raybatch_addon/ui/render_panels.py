@@ -11,9 +11,9 @@ from ..core.settings.settings import BYTES, GROUPS, SETTINGS, SettingInfo, parse
 from ..export.settings import settings_from
 from .choices import auto_text, draw_choice, draw_dropdown
 from .devices import draw_devices
-from .heard import is_heard
+from .heard import why_unheard
 from .memory import estimate_lines
-from .panel import LATER, EnginePanel, draw_box, draw_lines, register_all, split_layout, unregister_all
+from .panel import LATER, EnginePanel, draw_box, draw_lines, draw_why, register_all, split_layout, unregister_all
 from .presets import RAYBATCH_PT_batching_presets, RAYBATCH_PT_render_presets
 from .properties import megabytes_name, switch_name
 
@@ -42,19 +42,24 @@ def _draw(self, context):
     column = layout.column()
     if self.group == "FILM":
         column.prop(context.scene.raybatch_export, "exposure")
+    why = ""
     for info in SETTINGS.values():
         if info.group != self.group or info.name == _IN_HEADER.get(self.group):
             continue
+        above, why = why, "" if missing else why_unheard(own, info.name)
+        if above != why:  # said once, below all that it holds for
+            draw_why(column, context, above)
         part = column.column()
-        part.active = is_heard(own, info.name)
+        part.active = not why
         part.enabled = not missing or info.name == "denoise_library"
         _draw_setting(part, context, info)
+    draw_why(column, context, why)
     if missing:
         draw_box(layout, context, missing)
     if self.group == "FILM":
         column.prop(context.scene.render, "film_transparent", text="Transparent")
         if hasattr(context.scene, "cycles"):
-            _draw_glass(column, context.scene)
+            _draw_glass(column, context)
     elif self.group == "PERFORMANCE":
         column.prop(context.scene.render, "use_persistent_data", text="Persistent Data")
     elif self.group == _SCHEDULE:
@@ -63,13 +68,15 @@ def _draw(self, context):
         draw_lines(layout, context, estimate_lines(context))
 
 
-def _draw_glass(column, scene: bpy.types.Scene) -> None:
+def _draw_glass(column, context) -> None:
     """Whether a transparent film shows through glass; settings of Cycles."""
-    glass = column.column()
-    glass.active = scene.render.film_transparent
+    scene, glass = context.scene, column.column()
+    is_transparent = scene.render.film_transparent
+    glass.active = is_transparent
     glass.prop(scene.cycles, "film_transparent_glass", text="Transparent Glass")
     if scene.cycles.film_transparent_glass:
         glass.prop(scene.cycles, "film_transparent_roughness", text="Roughness Threshold")
+    draw_why(column, context, "" if is_transparent else "Unused with Transparent off")
 
 
 def _draw_setting(column, context, info: SettingInfo) -> None:

@@ -43,7 +43,7 @@ class RAYBATCH_RENDER_PT_viewport(EnginePanel, bpy.types.Panel):
         row = layout.row()
         row.enabled = own.denoise or not missing
         row.prop(own, "denoise")
-        if missing and own.denoise:
+        if missing:
             draw_box(layout, context, missing)
         layout.prop(scene.render, "preview_pixel_size", text="Pixel Size")
         try:

@@ -8,7 +8,7 @@ import types
 import numpy as np
 import pytest
 
-from raybatch_addon.convergence.plot import SLOT_COLORS, draw_plot
+from raybatch_addon.convergence.plot import SLOT_COLORS, _fitting, draw_plot
 from raybatch_addon.convergence.plotting.axes import LogAxis
 from raybatch_addon.convergence.plotting.raster import text_width
 from raybatch_addon.convergence.records import (
@@ -336,3 +336,11 @@ def test_plots_of_every_size_and_range_are_drawn(runs, edge, size):
     pixels = draw_plot(store.runs(), 1e-3, edge, edge, size)
     assert pixels.shape == (edge, edge, 4) and pixels.dtype == np.float32
     assert np.isfinite(pixels).all() and pixels.min() >= 0 and pixels.max() <= 1 and (pixels[..., 3] == 1).all()
+
+
+def test_names_in_the_legend_lose_whole_parts():
+    name = "#3, Sequence Blue Noise, Pixel Filter Box"
+    for letters, expected in ((41, name), (40, "#3, Sequence Blue Noise"), (22, "#3"), (1, "#3")):
+        assert _fitting(name, "", letters) == expected
+    assert _fitting(name, " (running)", 33) == "#3, Sequence Blue Noise (running)"
+    assert _fitting(name, " (running)", 32) == "#3 (running)"

@@ -373,9 +373,10 @@ def test_statistics_count_the_export(lit, films):
 
 def test_the_status_line_shows_stage_speed_and_time_left(lit, monkeypatch, watch):
     monkeypatch.setattr(terminal, "PLAIN_SECONDS", 0.0)
-    lines, fractions = [], []
+    lines, fractions, memory = [], [], []
     watch(
         update_stats=lambda engine, stats, info: lines.append(info),
+        update_memory_stats=lambda _, **both: memory.append("M, Peak: ".join(f"{each:.0f}" for each in both.values())),
         update_progress=lambda engine, value: fractions.append(value),
     )
     lit.raybatch.sample_count = 64
@@ -384,8 +385,8 @@ def test_the_status_line_shows_stage_speed_and_time_left(lit, monkeypatch, watch
     assert any("/64" in line and "Mrays/s" in line and "left" in line for line in lines)
     tier = reports.last().statistics["ViewLayer"]["kernels"]["tier"].lower()
     assert lines[-2].endswith(f" | {tier} kernels")
-    assert any("Mem: " in line and "Peak: " in line for line in lines) == (host_memory_used() > 0)
-    assert lines[-1] == "Sample 64/64 | Finished"
+    assert [part[5:-1] for line in lines for part in line.split(" | ") if part.startswith("Mem: ")] == memory
+    assert lines[-1] == "Sample 64/64 | Finished" and bool(memory) == (host_memory_used() > 0)
     assert fractions == sorted(fractions) and fractions[-1] == 1
 
 

@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from raybatch_addon.core.files import sole_owner, whole_file
+from raybatch_addon.core.files import OWNER, VOLUMES_PREFIX, remove_if_left, sole_owner, temporary_folder, whole_file
 from tests.support.command_line import ROOT
 
 
@@ -82,3 +82,25 @@ def test_one_process_and_one_thread_at_a_time_owns_a_file(tmp_path):
         list(pool.map(count, range(200)))
     assert [process.wait() for process in processes] == [0, 0]
     assert (tmp_path / "number").read_text() == "600"
+
+
+def test_a_temporary_folder_is_held_as_long_as_its_block(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with pytest.raises(ValueError, match="half"), temporary_folder(VOLUMES_PREFIX) as folder:
+        assert folder.parent == tmp_path and folder.name.startswith(VOLUMES_PREFIX)
+        assert remove_if_left(folder) and folder.exists()
+        raise ValueError("half")
+    assert names(tmp_path) == []
+    folder = tmp_path / f"{VOLUMES_PREFIX}x"
+    folder.mkdir()
+    assert not remove_if_left(folder) and folder.exists(), "nobody tells whose it is"
+    (folder / OWNER).touch()
+    assert remove_if_left(folder) and not folder.exists()
+
+
+def test_a_temporary_folder_goes_without_locks_too(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setattr("raybatch_addon.core.files.lock_now", lambda _path: None)
+    with temporary_folder(VOLUMES_PREFIX) as folder:
+        assert names(tmp_path) == [folder.name]
+    assert names(tmp_path) == []

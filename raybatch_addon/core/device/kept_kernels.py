@@ -23,10 +23,9 @@ from pathlib import Path
 import warp as wp
 
 from ..errors import DeviceError
-from ..files import give_up, owned_folder, whole_file
+from ..files import KERNELS_PREFIX, give_up, owned_folder, whole_file
 from .notes import note
 
-SPARE_PREFIX = "raybatch-kernels-"  # of spare folders
 _ABANDONED_SECONDS = 86400.0  # nothing compiles as long as that
 _spare: Path | None = None
 _may_be_spare = True
@@ -68,11 +67,11 @@ def spare_folder(unusable: Path, error: OSError) -> Path:
             raise cannot_be_kept(unusable, error)
         if _spare is None:
             try:
-                if owned := owned_folder(SPARE_PREFIX):
+                if owned := owned_folder(KERNELS_PREFIX):
                     atexit.register(give_up, *owned)
                     folder = owned[0]
                 else:
-                    folder = Path(tempfile.mkdtemp(prefix=SPARE_PREFIX))
+                    folder = Path(tempfile.mkdtemp(prefix=KERNELS_PREFIX))
                     atexit.register(shutil.rmtree, folder, ignore_errors=True)
                 (folder / wp.config.version).mkdir()
             except OSError as other:

@@ -25,9 +25,9 @@ from pathlib import Path
 
 import warp as wp
 
-from ..files import OWNER, give_up, lock_now, owned_folder
+from ..files import OWNED_PREFIXES, give_up, owned_folder, remove_if_left
 from .compiler import CompileError
-from .kept_kernels import SPARE_PREFIX, folders, spare_folder
+from .kept_kernels import folders, spare_folder
 from .kernel import MODULE_OPTIONS
 
 _lock = threading.Lock()  # while one thread reads the header, others wait for it
@@ -126,7 +126,7 @@ class _OwnedFolders:
 
 
 def remove_left_folders() -> None:
-    """Remove the temporary folders that processes left which were killed, those with spare kernels too.
+    """Remove the temporary folders that processes left which were killed, those of `OWNED_PREFIXES` too.
 
     Those of the header without a file for their owner are of Warp without RayBatch: they go where the system says that
     no process with Warp in it is as old.
@@ -136,17 +136,14 @@ def remove_left_folders() -> None:
             found = [
                 entry
                 for entry in entries
-                if entry.name.startswith((_PREFIX, SPARE_PREFIX)) and entry.is_dir(follow_symlinks=False)
+                if entry.name.startswith((_PREFIX, *OWNED_PREFIXES)) and entry.is_dir(follow_symlinks=False)
             ]
         users = None
         for entry in found:
             with contextlib.suppress(OSError):  # of another user, or another process removes it
-                owner = Path(entry.path) / OWNER
-                if owner.exists():
-                    handle = lock_now(owner)
-                    if handle is not None:
-                        give_up(entry.path, handle)
-                elif entry.name.startswith(_PREFIX) and _is_own(entry):
+                if remove_if_left(entry.path):
+                    continue
+                if entry.name.startswith(_PREFIX) and _is_own(entry):
                     users = [*_processes_with_warp()] if users is None else users
                     if all(began > entry.stat().st_mtime for began in users):
                         shutil.rmtree(entry.path, ignore_errors=True)

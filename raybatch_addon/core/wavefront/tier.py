@@ -23,6 +23,7 @@ from ..scene.description import ClosureKind, LightKind
 from ..scene.features import SceneFeatures
 from ..scene.passes import LIGHT_GROUP, OCCLUSION_PASS, PASSES
 from ..scene.program import ProgramFeatures
+from ..settings.settings import SETTINGS
 from .estimates.kernels import estimate_kernel
 from .estimates.work import Estimate
 from .kernels import StageKernels
@@ -108,16 +109,17 @@ def why_not_general(features: SceneFeatures, device: wp.Device) -> str:
     """Why the general kernels of `device` cannot shade a scene with `features`; empty where they can."""
     general = general_features(device)
     if features.mis != general.mis:
-        return "general kernels have no code for mis OFF"
+        return _lack_of_setting("mis", "OFF")
     if features.sample_sequence != general.sample_sequence:
-        return f"general kernels have no code for sample_sequence {features.sample_sequence}"
+        return _lack_of_setting("sample_sequence", features.sample_sequence)
     if features.texture_levels:
-        return "general kernels have no code for texture_filter FOOTPRINT"
+        return _lack_of_setting("texture_filter", "FOOTPRINT")
     for name, feature in _LINKS.items():
         if getattr(features, name) and not getattr(general, name):
             return f"general kernels have no code for {feature}"
     if lacking := sorted(set(features.closures) - set(general.closures)):
-        return f"general kernels have no code for closures of kind {', '.join(kind.name for kind in lacking)}"
+        names = ", ".join(kind.name.replace("_", " ").title() for kind in lacking)
+        return f"general kernels have no code for closures of kind {names}"
     closure_count = features.closure_count
     of_lamps = general.volume_program if features.volumes else general.lamp_program
     for programs, there in (
@@ -134,10 +136,15 @@ def why_not_general(features: SceneFeatures, device: wp.Device) -> str:
     return ""
 
 
+def _lack_of_setting(name: str, value: str) -> str:
+    info = SETTINGS[name]  # Last Render shows this: it is called what panels call it
+    return f"general kernels have no code for {info.label} at {info.name_of(value)}"
+
+
 def lack_of(programs: ProgramFeatures, there: ProgramFeatures) -> str:
     """Why general kernels that are specialised on `there` cannot run `programs`; empty where they can."""
     if lacking := sorted(set(programs.ops) - set(there.ops)):
-        return f"general kernels have no code for {', '.join(lacking)} there"
+        return f"general kernels have no code for {', '.join(lacking).replace('_', ' ')} there"
     if programs.register_count > _REGISTERS_MOST:
         return f"general kernels have {_REGISTERS_MOST} registers, and a shader graph needs more"
     return ""

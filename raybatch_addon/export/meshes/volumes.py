@@ -6,12 +6,12 @@ import io
 import itertools
 import math
 import os
-import tempfile
 from collections.abc import Iterable
 
 import bpy
 import numpy as np
 
+from ...core.files import VOLUMES_PREFIX, temporary_folder
 from ...core.scene.description import Grid, Mesh
 from ...core.scene.frozen import freeze
 from ...core.scene.notice import Notice, Weight
@@ -116,7 +116,7 @@ def _read(obj: bpy.types.Object, names: set[str], label: str, warnings: list[str
     except ImportError:
         warnings.append(f"{label}: this Blender has no module openvdb to read its grids with; it is left out")
         return
-    with tempfile.TemporaryDirectory() as folder:
+    with temporary_folder(VOLUMES_PREFIX) as folder:
         if is_made:
             path = os.path.join(folder, "made.vdb")
             if there and not volume.grids.save(filepath=path):

@@ -10,7 +10,18 @@ from ...core.scene.notice import Notice, Weight
 from ...export.taken_over.rows import CYCLES, EEVEE
 from ...export.taken_over.take import ENGINE_LABELS, differences
 from .. import migration
-from ..panel import LATER, EnginePanel, draw_box, draw_lines, register_all, unregister_all
+from ..panel import (
+    ICON_WIDTH,
+    LATER,
+    EnginePanel,
+    draw_below_name,
+    draw_box,
+    draw_lines,
+    free_width,
+    label_width,
+    register_all,
+    unregister_all,
+)
 from .operators import RAYBATCH_OT_check_scene, RAYBATCH_OT_select_object, RAYBATCH_OT_settings_from
 
 ICONS = {Weight.MISSING: "ERROR", Weight.REPLACED: "QUESTION", Weight.SETTING: "PREFERENCES", Weight.REPAIRED: "INFO"}
@@ -35,8 +46,7 @@ class RAYBATCH_RENDER_PT_before_render(EnginePanel, bpy.types.Panel):
         layout = self.layout
         if newer := migration.complaint(context.scene):
             draw_box(layout, context, newer, "ERROR")
-        layout.label(text="Refuse to Render")
-        layout.prop(context.scene.raybatch_export, "strict", text="")
+        draw_below_name(layout, context.scene.raybatch_export, "strict", "Refuse to Render")
         layout.operator(RAYBATCH_OT_check_scene.bl_idname, icon="VIEWZOOM")
         found = missing.found_in(context.scene)
         if found is None:
@@ -55,8 +65,10 @@ def _draw_notice(layout, context, number: int, notice: Notice) -> None:
     if notice.remedy:
         draw_lines(box, context, [f"To do: {notice.remedy}"], in_box=True)
     if notice.objects:
-        text = notice.objects[0] if len(notice.objects) == 1 else f"{len(notice.objects)} objects"
-        select = box.operator(RAYBATCH_OT_select_object.bl_idname, text=f"Select {text}", icon="RESTRICT_SELECT_OFF")
+        text = f"Select {notice.objects[0] if len(notice.objects) == 1 else f'{len(notice.objects)} objects'}"
+        if label_width(text) > free_width(context, in_box=True) - ICON_WIDTH:
+            text = "Select the object"  # which the line names
+        select = box.operator(RAYBATCH_OT_select_object.bl_idname, text=text, icon="RESTRICT_SELECT_OFF")
         select.number = number
 
 
@@ -69,8 +81,7 @@ class RAYBATCH_RENDER_PT_settings_from(EnginePanel, bpy.types.Panel):
 
     def draw(self, context):
         layout = self.layout
-        layout.label(text="Material Output")
-        layout.prop(context.scene.raybatch_export, "material_output", text="")
+        draw_below_name(layout, context.scene.raybatch_export, "material_output", "Material Output")
         for engine in (CYCLES, EEVEE):
             text = f"Settings From {ENGINE_LABELS[engine]}"
             layout.operator(RAYBATCH_OT_settings_from.bl_idname, text=text, icon="IMPORT").engine = engine

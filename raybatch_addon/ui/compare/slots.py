@@ -110,7 +110,7 @@ class RAYBATCH_OT_render_in_new_slot(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        return may_render(context)
+        return may_render(cls, context)
 
     def invoke(self, _context, _event):
         take_next_slot()

@@ -6,8 +6,9 @@ import bpy
 
 from ...convergence.records import Run, store
 from ...convergence.run_texts import names_of, run_lines, target_line
-from ...core.settings.settings import keeps_halves
-from ..panel import LATER, EnginePanel, draw_lines, split_layout
+from ...core.settings.settings import SETTINGS, keeps_halves
+from ..heard import implies_error_estimate
+from ..panel import LATER, EnginePanel, draw_lines, draw_why, split_layout
 from .operators import (
     RAYBATCH_OT_convergence_clear,
     RAYBATCH_OT_convergence_copy,
@@ -35,8 +36,12 @@ class RAYBATCH_RENDER_PT_convergence(EnginePanel, bpy.types.Panel):
         Shown.seen = True
         scene, layout = context.scene, split_layout(self.layout)
         row = layout.row()
-        row.active = not keeps_halves(scene.raybatch)  # or it is recorded anyway
+        is_recorded = keeps_halves(scene.raybatch)  # whatever is said here
+        row.active = not is_recorded
         row.prop(scene.raybatch_convergence, "record")
+        if is_recorded:
+            ruling = implies_error_estimate(scene.raybatch) or "error_estimate"
+            draw_why(layout, context, f"Implied by {SETTINGS[ruling].label}")
         if scene.raybatch.error_target > 0:
             layout.prop(scene.raybatch, "error_target")
         else:
@@ -68,17 +73,20 @@ def _hint(scene: bpy.types.Scene) -> str:
 
 
 def _draw_slots(layout, context, runs: list[Run], target: float) -> None:
-    """A line for each run: its colour and name, when it reaches the target, and buttons."""
+    """For each run its colour and buttons, its name below them, and when it reaches the target."""
     names = names_of(runs)
     column = layout.column(align=True)
     for run in runs:
+        number, _, rest = names[run.number].partition(", ")
         row = column.row(align=True)
-        row.label(text=names[run.number], icon_value=slot_icon(run.slot))
+        row.label(text=number, icon_value=slot_icon(run.slot))
         for operator, icon, depress in (
             (RAYBATCH_OT_convergence_hide, "HIDE_OFF" if run.shown else "HIDE_ON", False),
             (RAYBATCH_OT_convergence_keep, "PINNED" if run.kept else "UNPINNED", run.kept),
             (RAYBATCH_OT_convergence_clear, "X", False),
         ):
             row.operator(operator.bl_idname, text="", icon=icon, depress=depress).run = run.number
+        if rest:
+            draw_lines(column, context, [rest], "BLANK1")
         if len(runs) > 1 and run.points and run is not runs[0]:
             draw_lines(column, context, [target_line(run, target)], "BLANK1")

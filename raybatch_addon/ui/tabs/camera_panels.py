@@ -5,14 +5,15 @@ from __future__ import annotations
 import bpy
 
 from ...export.panorama import panorama_settings
-from ..panel import EnginePanel, register_all, split_layout, unregister_all
+from ..panel import EnginePanel, draw_below_name, draw_lines, draw_why, register_all, split_layout, unregister_all
 
+_POLYNOMIAL = "fisheye_polynomial_"
 # Settings of each type of panorama
 _PANORAMAS = {
     "EQUIRECTANGULAR": ("latitude_min", "latitude_max", "longitude_min", "longitude_max"),
     "FISHEYE_EQUIDISTANT": ("fisheye_fov",),
     "FISHEYE_EQUISOLID": ("fisheye_lens", "fisheye_fov"),
-    "FISHEYE_LENS_POLYNOMIAL": ("fisheye_fov", *(f"fisheye_polynomial_k{power}" for power in range(5))),
+    "FISHEYE_LENS_POLYNOMIAL": ("fisheye_fov", *(f"{_POLYNOMIAL}k{power}" for power in range(5))),
     "CENTRAL_CYLINDRICAL": (
         *(f"central_cylindrical_range_{axis}_{end}" for axis in "vu" for end in ("min", "max")),
         "central_cylindrical_radius",
@@ -32,14 +33,15 @@ class RAYBATCH_CAMERA_PT_panorama(EnginePanel, bpy.types.Panel):
         return super().poll(context) and context.camera is not None and context.camera.type == "PANO"
 
     def draw(self, context):
-        layout = split_layout(self.layout, animated=True)
+        layout = split_layout(self.layout)
         settings = panorama_settings(context.camera)
         if settings is None:
-            layout.label(text="Enable the add-on Cycles, which has the settings", icon="INFO")
+            draw_lines(layout, context, ["Enable the add-on Cycles, which has the settings"], "INFO")
             return
-        layout.prop(settings, "panorama_type")
+        draw_below_name(layout, settings, "panorama_type", "Panorama Type")
         for name in _PANORAMAS.get(settings.panorama_type, ()):
-            layout.prop(settings, name)
+            short = {"text": name.removeprefix(_POLYNOMIAL).upper()} if name.startswith(_POLYNOMIAL) else {}
+            layout.prop(settings, name, **short)
 
 
 class RAYBATCH_RENDER_PT_motion_blur(EnginePanel, bpy.types.Panel):
@@ -53,7 +55,7 @@ class RAYBATCH_RENDER_PT_motion_blur(EnginePanel, bpy.types.Panel):
         self.layout.prop(context.scene.render, "use_motion_blur", text="")
 
     def draw(self, context):
-        layout = split_layout(self.layout, animated=True)
+        layout = split_layout(self.layout)
         render = context.scene.render
         layout.active = render.use_motion_blur
         layout.prop(render, "motion_blur_position", text="Position")
@@ -62,7 +64,7 @@ class RAYBATCH_RENDER_PT_motion_blur(EnginePanel, bpy.types.Panel):
         if cycles is not None:
             layout.prop(cycles, "rolling_shutter_type")
             if cycles.rolling_shutter_type != "NONE":
-                layout.prop(cycles, "rolling_shutter_duration")
+                layout.prop(cycles, "rolling_shutter_duration", text="Duration")
         layout.template_curve_mapping(render, "motion_blur_shutter_curve")
 
 
@@ -83,10 +85,12 @@ class RAYBATCH_OBJECT_PT_motion_blur(EnginePanel, bpy.types.Panel):
     def draw(self, context):
         layout = split_layout(self.layout, animated=True)
         cycles = context.object.cycles
-        layout.active = context.scene.render.use_motion_blur and cycles.use_motion_blur
+        is_blurred = context.scene.render.use_motion_blur
+        layout.active = is_blurred and cycles.use_motion_blur
         layout.prop(cycles, "motion_steps", text="Steps")
         if context.object.type != "CAMERA":
             layout.prop(cycles, "use_deform_motion", text="Deformation")
+        draw_why(layout, context, "" if is_blurred else "Unused with Motion Blur of the scene off")
 
 
 _classes = (RAYBATCH_CAMERA_PT_panorama, RAYBATCH_RENDER_PT_motion_blur, RAYBATCH_OBJECT_PT_motion_blur)

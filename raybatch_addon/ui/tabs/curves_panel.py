@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..panel import EnginePanel, register_all, split_layout, unregister_all
+from ..panel import EnginePanel, choice_text, draw_why, register_all, split_layout, unregister_all
 
 
 class RAYBATCH_RENDER_PT_curves(EnginePanel, bpy.types.Panel):
@@ -21,9 +21,10 @@ class RAYBATCH_RENDER_PT_curves(EnginePanel, bpy.types.Panel):
         layout = split_layout(self.layout)
         own = context.scene.cycles_curves
         layout.prop(own, "shape")
-        column = layout.column()
-        column.active = own.shape == "RIBBONS"  # round curves are cut as finely as they bend
+        column, is_cut = layout.column(), own.shape == "RIBBONS"  # round curves are cut as finely as they bend
+        column.active = is_cut
         column.prop(own, "subdivisions", text="Subdivisions")
+        draw_why(layout, context, "" if is_cut else f"Unused with Shape {choice_text(own, 'shape')}")
 
 
 _classes = (RAYBATCH_RENDER_PT_curves,)

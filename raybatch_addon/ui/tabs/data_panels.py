@@ -107,7 +107,7 @@ class RAYBATCH_OBJECT_PT_ray_visibility(EnginePanel, bpy.types.Panel):
         return super().poll(context) and context.object is not None and context.object.type in _GEOMETRY | {"LIGHT"}
 
     def draw(self, context):
-        layout = split_layout(self.layout, animated=True)
+        layout = split_layout(self.layout)
         column = layout.column()
         for ray in ("camera", "diffuse", "glossy", "transmission", "volume_scatter"):
             column.prop(context.object, f"visible_{ray}", text=ray.replace("_", " ").title())

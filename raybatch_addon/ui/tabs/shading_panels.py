@@ -9,7 +9,20 @@ from bl_ui.properties_view_layer import ViewLayerAOVPanelHelper
 from bpy_extras.node_utils import find_node_input
 
 from ...export.settings import output_engine
-from ..panel import EnginePanel, WorldPanel, register_all, split_layout, unregister_all
+from ..panel import (
+    EnginePanel,
+    WorldPanel,
+    choice_text,
+    draw_below_name,
+    draw_box,
+    draw_lines,
+    draw_why,
+    register_all,
+    split_layout,
+    unregister_all,
+)
+
+_EMISSION_SAMPLING = ("NONE", "AUTO", "FRONT_BACK")  # of Cycles' choices those that are heard
 
 
 class RAYBATCH_MATERIAL_PT_settings(EnginePanel, bpy.types.Panel):
@@ -25,11 +38,25 @@ class RAYBATCH_MATERIAL_PT_settings(EnginePanel, bpy.types.Panel):
 
     def draw(self, context):
         layout = split_layout(self.layout)
-        layout.prop(context.material, "displacement_method", text="Displacement")
-        layout.prop(context.material, "use_transparent_shadow")
+        draw_below_name(layout, context.material, "displacement_method", "Displacement")
+        row = layout.row()
+        row.use_property_split = False  # its name is too long for a place beside names
+        row.prop(context.material, "use_transparent_shadow")
         layout.prop(context.material, "pass_index")
         if hasattr(context.material, "cycles"):
-            layout.prop(context.material.cycles, "emission_sampling")
+            _draw_emission_sampling(layout, context, context.material.cycles)
+
+
+def _draw_emission_sampling(layout, context, own) -> None:
+    """A button for each choice that is heard, and a word on what a file of Cycles has beside these."""
+    layout.label(text="Emission Sampling")
+    column = layout.column(align=True)
+    column.use_property_split = False
+    for choice in _EMISSION_SAMPLING:
+        column.prop_enum(own, "emission_sampling", choice)
+    if own.emission_sampling not in _EMISSION_SAMPLING:
+        chosen = choice_text(own, "emission_sampling")
+        draw_box(layout, context, f"{chosen} alone is not heard: rays are aimed at both sides")
 
 
 class _WorldPanel(WorldPanel):
@@ -63,13 +90,16 @@ class RAYBATCH_WORLD_PT_settings(_WorldPanel, bpy.types.Panel):
         layout = split_layout(self.layout)
         own = context.world.cycles
         layout.prop(own, "sampling_method", text="Sampling")
+        unused = f"Unused with Sampling {choice_text(own, 'sampling_method')}"
         row = layout.row()
         row.active = own.sampling_method == "MANUAL"
         row.prop(own, "sample_map_resolution", text="Resolution")
+        draw_why(layout, context, unused if own.sampling_method == "AUTOMATIC" else "")
         column = layout.column()
         column.active = own.sampling_method != "NONE"
         column.prop(own, "max_bounces")
         column.prop(own, "use_shadows", text="Cast Shadow")
+        draw_why(layout, context, unused if own.sampling_method == "NONE" else "")
 
 
 class RAYBATCH_WORLD_PT_ambient_occlusion(WorldPanel, bpy.types.Panel):
@@ -93,7 +123,8 @@ class RAYBATCH_OBJECT_PT_shadow_terminator(EnginePanel, bpy.types.Panel):
         return super().poll(context) and context.object is not None and context.object.type not in ("LIGHT", "CAMERA")
 
     def draw(self, context):
-        split_layout(self.layout).prop(context.object, "shadow_terminator_geometry_offset", text="Geometry Offset")
+        # its name is too long for a place beside values
+        self.layout.prop(context.object, "shadow_terminator_geometry_offset", text="Geometry Offset")
 
 
 def _is_portal(light: bpy.types.Light) -> bool:
@@ -113,14 +144,15 @@ class RAYBATCH_LIGHT_PT_settings(EnginePanel, bpy.types.Panel):
     def draw(self, context):
         layout = split_layout(self.layout)
         light = context.light
-        column = layout.column()
-        column.active = not _is_portal(light)
+        column, is_portal = layout.column(), _is_portal(light)
+        column.active = not is_portal
         if hasattr(light, "cycles"):
             column.prop(light.cycles, "max_bounces")
         column.prop(light, "use_shadow", text="Cast Shadow")
         if light.type != "AREA":
             return
         column.prop(light, "spread")
+        draw_why(layout, context, "Unused with Portal on" if is_portal else "")
         if hasattr(light, "cycles"):
             layout.prop(light.cycles, "is_portal", text="Portal")
 
@@ -145,7 +177,7 @@ class RAYBATCH_LIGHT_PT_nodes(EnginePanel, bpy.types.Panel):
         node = tree.get_output_node(output_engine(context.scene)) if tree is not None else None
         surface = find_node_input(node, "Surface") if node is not None else None
         if surface is None:
-            layout.label(text="No nodes: its color is even" if tree is None else "No output node")
+            draw_lines(layout, context, ["No nodes: its color is even" if tree is None else "No output node"])
         else:
             layout.template_node_view(tree, node, surface)
 

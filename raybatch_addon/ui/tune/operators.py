@@ -28,7 +28,7 @@ class RAYBATCH_OT_tune(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        return may_render(context)
+        return may_render(cls, context)
 
     def invoke(self, context, _event):
         from ...blender import tuning

@@ -41,8 +41,9 @@ def test_what_another_computer_turned_on_can_be_turned_off(scene, panel, monkeyp
 
 
 def test_with_the_library_nothing_is_grey(scene, panel, monkeypatch):
-    body, header = drawn_without(scene, panel, monkeypatch, "")
-    assert body.grey == header.grey == [] and labels_of(body) == ""
+    for scene.raybatch.denoise, why in (("OFF", "Unused with Denoise off"), ("ON", "")):
+        body, header = drawn_without(scene, panel, monkeypatch, "")
+        assert body.grey == header.grey == [] and labels_of(body) == why
 
 
 def test_a_file_that_is_not_there_is_the_reason(scene, panel):

@@ -14,7 +14,6 @@ from raybatch_addon.export.settings import assign_setting, settings_from
 from raybatch_addon.ui import render_panels
 from raybatch_addon.ui.choices import value_text
 from raybatch_addon.ui.devices import choices_for, draw_devices
-from raybatch_addon.ui.heard import is_heard
 from raybatch_addon.ui.panel import fitting_lines, free_width, label_width
 from raybatch_addon.ui.properties import switch_name
 from tests.support.panel_layout import FIRST_WIDTH, Layout, Measured, context_of, drawn, own_panels
@@ -230,20 +229,6 @@ def test_the_devices_of_this_computer_are_named(scene):
 )
 def test_processors_are_named_shortly(model, shown):
     assert " ".join(devices._NOISE.sub(" ", model).split()) == shown
-
-
-def test_what_has_no_say_is_grey(scene):
-    own = scene.raybatch
-    assert not is_heard(own, "noise_threshold") and not is_heard(own, "denoise_quality")
-    own.adaptive_sampling, own.denoise = "ON", "ON"
-    assert is_heard(own, "noise_threshold") and is_heard(own, "denoise_quality")
-    own.device = "AUTO"
-    assert is_heard(own, "queue_size") and is_heard(own, "register_cap") and is_heard(own, "thread_count")
-    own.batching, own.device = "OFF", "cpu"
-    assert not is_heard(own, "queue_size") and not is_heard(own, "register_cap")
-    assert not is_heard(own, "geometry_budget")
-    own.device = "cuda:0"
-    assert is_heard(own, "register_cap") and not is_heard(own, "thread_count")
 
 
 @pytest.mark.parametrize("width", [120, 180, 300, 700])

@@ -1,18 +1,16 @@
 """Threads and processes that compile for the CPU share what was read of Warp's header; what is left of it goes."""
 
-import contextlib
 import os
 import subprocess
 import sys
 import tempfile
 import time
-from pathlib import Path
 
 import pytest
 
 from raybatch_addon.core.device import precompiled_header
+from tests.core.device.killed import ROOT, check_it_goes_at_the_next_start, holding, start_another
 
-ROOT = Path(__file__).resolve().parents[3]
 COMPILE = """
 import sys, threading
 import warp as wp
@@ -94,45 +92,12 @@ input()
 """
 
 
-def environment_with(temporary):
-    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
-    return os.environ | {"PYTHONPATH": path, "TMPDIR": str(temporary), "TEMP": str(temporary), "TMP": str(temporary)}
-
-
-@contextlib.contextmanager
-def holding(kind, temporary, *what):
-    """A process of `kind` that holds a folder in `temporary`, and that folder."""
-    process = subprocess.Popen(
-        [sys.executable, "-c", HOLD, kind, *what],
-        env=environment_with(temporary),
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    with process:
-        try:
-            yield process, Path(process.stdout.readline().strip())
-        finally:
-            process.kill()
-
-
-def start_another(temporary):
-    code = "from raybatch_addon.core.device.devices import start_warp; start_warp()"
-    subprocess.run([sys.executable, "-c", code], env=environment_with(temporary), check=True)
-
-
 @pytest.mark.parametrize("what, prefix", [([], "wp_pch_"), (["spare"], "raybatch-kernels-")])
 def test_a_folder_of_a_killed_process_is_removed_at_the_next_start(what, prefix, tmp_path):
-    with holding("raybatch", tmp_path, *what) as (process, folder):
+    with holding(HOLD, tmp_path, "raybatch", *what) as (process, folder):
         assert folder.parent == tmp_path and folder.name.startswith(prefix)
         (folder / "builtin.pch").write_bytes(b"parsed")
-        start_another(tmp_path)
-        assert (folder / "builtin.pch").exists()  # its process lives
-        process.kill()
-        process.wait()
-        assert folder.exists()
-        start_another(tmp_path)
-        assert not folder.exists()
+        check_it_goes_at_the_next_start(process, folder, tmp_path)
 
 
 @pytest.mark.parametrize("began, stays", [([], False), ([-60.0, 60.0], True), ([60.0], False), ([0.0], True)])
@@ -148,14 +113,14 @@ def test_a_folder_without_an_owner_goes_where_no_process_is_as_old(began, stays,
 
 def test_processes_with_warp_are_seen(tmp_path):
     before = time.time()
-    with holding("warp", tmp_path):
+    with holding(HOLD, tmp_path, "warp"):
         assert any(before - 2 <= began <= time.time() for began in precompiled_header._processes_with_warp()) or (
             sys.platform != "linux"  # where each folder without an owner stays
         )
 
 
 def test_a_folder_goes_with_its_process(tmp_path):
-    with holding("raybatch", tmp_path) as (process, folder):
+    with holding(HOLD, tmp_path, "raybatch") as (process, folder):
         process.communicate("\n")
         assert process.returncode == 0 and not folder.exists()
 

@@ -138,7 +138,7 @@ def test_scenes_without_portals_have_no_code_for_them():
     settings = RenderSettings()
     without, with_one = (derive_features(dome(each), settings) for each in (scenes.diffuse(), portal()))
     assert K.RAY_PORTAL not in without.closures and not without.transparency
-    assert with_one.transparency and "RAY_PORTAL" in why_not_general(with_one, SimpleNamespace(is_cuda=True))
+    assert with_one.transparency and "Ray Portal" in why_not_general(with_one, SimpleNamespace(is_cuda=True))
 
 
 @pytest.mark.parametrize("where", ["world", "object"])
