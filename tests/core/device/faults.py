@@ -45,7 +45,7 @@ class Faults:
         """Count those of `kind` anew: `launch`, `allocation` or none; number `at` fails."""
         self.kind, self.at, self.seen = kind, at, 0
 
-    def places(self, thorough: bool) -> range:
-        """Numbers of those that are to fail one after another: of all that were counted, or of some."""
+    def places(self, thorough: bool, step: int = 1) -> range:
+        """Numbers of those that are to fail one after another: of each `step`th that was counted, or of some."""
         assert self.seen > 50
-        return range(1, self.seen + 1, 1 if thorough else self.seen // TRIED)
+        return range(1, self.seen + 1, step if thorough else self.seen // TRIED)

@@ -51,10 +51,10 @@ def render_beyond_memory(session):
 
 
 @ON_CPU
-@pytest.mark.parametrize("rendered", [render, render_beyond_memory])
+@pytest.mark.parametrize("rendered, step", [(render, 1), (render_beyond_memory, 9)])
 @pytest.mark.parametrize("kind, raised, said", KINDS)
 def test_a_failure_anywhere_is_named_and_the_next_render_is_whole(
-    rendered, kind, raised, said, faults, pytestconfig, tmp_path
+    rendered, step, kind, raised, said, faults, pytestconfig, tmp_path
 ):
     def opened():
         """A session without pages of an earlier one."""
@@ -63,7 +63,7 @@ def test_a_failure_anywhere_is_named_and_the_next_render_is_whole(
     expected = rendered(opened())
     faults.begin(kind)
     rendered(opened())
-    for at in faults.places(pytestconfig.option.thorough):
+    for at in faults.places(pytestconfig.option.thorough, step):
         session = opened()
         faults.begin(kind, at)
         try:  # what is allocated for speed alone may be done without
