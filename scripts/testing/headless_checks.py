@@ -225,8 +225,8 @@ def two_blenders(files: HeadlessFiles) -> None:
 
 
 def _hold_seldom(ended: EndedBlender) -> None:
-    """No two lines of progress are nearer than they may be."""
-    times = [seconds for seconds, _, _ in ended.progress]
+    """No two lines of progress are nearer than they may be; the last one does not wait where Blender ends."""
+    times = [seconds for seconds, _, _ in ended.progress[:-1]]
     least = min((later - sooner for sooner, later in itertools.pairwise(times)), default=LINE_SECONDS)
     hold(least >= LINE_SECONDS - JITTER_SECONDS, f"two lines of progress come within {least:.1f} seconds")
 
@@ -251,7 +251,9 @@ def lines_of_a_long_frame(files: HeadlessFiles) -> None:
 
 
 def lines_of_short_frames(files: HeadlessFiles) -> None:
-    """Frames that are short have a line in five seconds together, and the end of the last one is said."""
+    """Frames that are short have a line in five seconds together, and the end of the last one is said, when Blender
+    ends at the latest.
+    """
     ended = files.rendered(files.place(), "-s", 1, "-e", SHORT_FRAMES, "-a")
     _hold_seldom(ended)
     most = 2 + ended.seconds / LINE_SECONDS
@@ -265,7 +267,7 @@ def wrong_options(files: HeadlessFiles) -> None:
     for own, words in (
         (["--raybatch-set", "sample_cuont=7"], "did you mean sample_count"),
         (["--raybatch-set", "sample_count=many"], "sample_count"),
-        (["--raybatch-set", "sample_count=-1"], "sample_count must be"),
+        (["--raybatch-set", "sample_count=-1"], "sample_count = '-1' is not valid: it must be 1 to"),
         (["--raybatch-set", "seed"], "NAME=VALUE"),
         (["--raybatch-devize", "cpu"], "no option --raybatch-devize"),
     ):

@@ -31,7 +31,7 @@ if not error:
             file.write(b"\\x89PNG\\r\\n\\x1a\\n" if FAULT != "the picture" else b"")
     print("Fra: 1 | Sample 2/2 | Finished")
     if FAULT == "the lines":
-        print("Fra: 1 | Sample 2/2 | Finished")
+        print("Fra: 2 | Sample 2/2 | Finished\\nFra: 30 | Sample 2/2 | Finished")
 workers = int(option("-t", 0)) or os.cpu_count()
 layer = {{"engine": "RayBatch", "schedule": {{"workers": 2 if FAULT == "the threads" else workers}}}}
 print("RAYBATCH-STATISTICS " + json.dumps({{"errors": [], "layers": {{"ViewLayer": layer}}}}))
