@@ -24,7 +24,6 @@ def register() -> None:
 
     from . import engine, ui
     from .blender import finals
-    from .blender.status import ends
 
     if (unregistered_later := finals.take_call()) is not None:
         if finals.are_under_way():  # all is still there
@@ -34,7 +33,6 @@ def register() -> None:
     ui.register()
     bpy.utils.register_class(engine.RayBatchRenderEngine)
     finals.register()
-    ends.register()
     if bpy.app.module:
         # Python ends before Blender here, and Blender 4.5 waits for ever on classes that are still registered
         atexit.register(_unregister_at_exit)
@@ -76,7 +74,6 @@ def _unregister(there: dict[str, ModuleType]) -> None:
     bpy.utils.unregister_class(there["engine"].RayBatchRenderEngine)
     there["ui"].unregister()
     there["blender.finals"].unregister()
-    there["blender.status.ends"].unregister()
     if (sessions := there.get("blender.sessions")) is not None:
         sessions.close_all()
     for name, forget in (
