@@ -17,6 +17,7 @@ from raybatch_addon.blender import checkpoints, reports
 from raybatch_addon.blender.checkpoints import AskedCheckpoint
 from raybatch_addon.core.errors import RayBatchError, SceneError
 from raybatch_addon.core.film import Film
+from raybatch_addon.core.observers import Progress
 from raybatch_addon.core.scene.archive import save_scene
 from raybatch_addon.core.scene.description import Scene
 from raybatch_addon.core.scene.passes import GUIDE_PASSES
@@ -106,11 +107,14 @@ class BlenderRender:
     def _listen(self) -> None:
         from raybatch_addon.blender import frame
 
-        frame.progress_listeners.append(self._bar.show)
+        frame.progress_listeners.append(self._on_progress)
         frame.scene_listeners.append(self._on_scene)
         frame.film_listeners.append(self._on_film)
         frame.stop_listeners.append(self._is_stopped)
         frame.note_listeners.append(lambda text: print_notes([text]))
+
+    def _on_progress(self, progress: Progress) -> None:
+        self._bar.show(progress, bpy.context.scene.frame_current)
 
     def _is_stopped(self) -> bool:
         return self._stops.asked() or self._is_failed()

@@ -4,39 +4,46 @@ from __future__ import annotations
 
 import sys
 import time
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import IO, TYPE_CHECKING
 
+from raybatch_addon.blender.status.text import status_text
 from raybatch_addon.core.observers import Progress
 
 if TYPE_CHECKING:
     from tqdm import tqdm
 
-PLAIN_SECONDS = 5.0  # between lines where standard error is no terminal
+PLAIN_SECONDS = 5.0  # between lines where there is no terminal
 
 
 class ProgressBar:
-    """A bar on a terminal; a line now and then elsewhere. `label` may be changed between pictures."""
+    """A bar on a terminal; elsewhere a line at most every `PLAIN_SECONDS`, as a Blender without a window prints those
+    of the add-on. `label` may be changed between pictures: it begins the bar, and errors about a picture.
+    """
 
-    def __init__(self) -> None:
+    def __init__(self, stream: IO[str] | None = None, clock: Callable[[], float] = time.perf_counter) -> None:
+        """`stream`: where to (default: standard error); `clock`: the time [s]."""
         self.label = ""
+        self._stream, self._clock = stream or sys.stderr, clock
         self._bar: tqdm | None = None
-        self._terminal = sys.stderr.isatty()
-        self._shown = time.perf_counter()
+        self._terminal = self._stream.isatty()
+        self._shown = clock()
 
-    def show(self, progress: Progress) -> None:
-        """Show where the render stands."""
-        text = progress_text(progress)
+    def show(self, progress: Progress, frame: int | None = None) -> None:
+        """Show where the render stands, of `frame` if the picture is one of an animation."""
+        text = status_text(progress)
         if not self._terminal:
-            if time.perf_counter() - self._shown >= PLAIN_SECONDS:
-                self._shown = time.perf_counter()
-                print(f"{self.label}{text}", file=sys.stderr, flush=True)
+            now = self._clock()
+            if now - self._shown >= PLAIN_SECONDS:
+                self._shown = now
+                print(text if frame is None else f"Fra: {frame} | {text}", file=self._stream, flush=True)
             return
         if self._bar is None:
             from tqdm import tqdm  # not needed where there is no terminal
 
             self._bar = tqdm(
                 total=1.0,
-                file=sys.stderr,
+                file=self._stream,
                 leave=False,
                 dynamic_ncols=True,
                 bar_format="{desc} |{bar}| {percentage:3.0f} %",
@@ -49,19 +56,3 @@ class ProgressBar:
         if self._bar is not None:
             self._bar.close()
             self._bar = None
-
-
-def progress_text(progress: Progress) -> str:
-    """One line on where the render stands."""
-    if progress.stage != "render":
-        return progress.message
-    rays = f"{progress.rays_per_second / 1e6:.2f} Mrays/s"
-    left = "" if progress.seconds_left is None else f", {_clock(progress.seconds_left)} left"
-    beside = ", compiling specialised kernels" if progress.compiles else ""
-    return f"{progress.samples_done:.1f}/{progress.samples_total} samples, {rays}{left}{beside}"
-
-
-def _clock(seconds: float) -> str:
-    minutes, seconds = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{seconds:02d}" if hours else f"{minutes}:{seconds:02d}"

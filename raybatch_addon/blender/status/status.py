@@ -9,6 +9,7 @@ import bpy
 from ...core.film import Film
 from ...core.observers import Progress
 from .terminal import line_of_frame, plain_lines
+from .text import status_text
 
 # Blender's status line is written at most this often [s]
 STATUS_SECONDS = 0.25
@@ -59,25 +60,3 @@ class RenderStatus:
             used, peak = progress.memory_bytes / 2**20, progress.memory_peak / 2**20
             self._engine.update_memory_stats(memory_used=used, memory_peak=max(used, peak))
         self.show(status_text(progress))
-
-
-def status_text(progress: Progress) -> str:
-    """One line on where a render stands."""
-    memory = []
-    if progress.memory_bytes:
-        used, peak = (each / 2**20 for each in (progress.memory_bytes, progress.memory_peak))
-        memory = [f"Mem: {used:.0f}M, Peak: {max(used, peak):.0f}M"]
-    if progress.stage != "render":
-        return " | ".join([progress.message, *memory])
-    parts = [
-        f"Sample {progress.samples_done:.0f}/{progress.samples_total}",
-        f"{progress.rays_per_second / 1e6:.2f} Mrays/s",
-    ]
-    if progress.seconds_left is not None:
-        minutes, seconds = divmod(round(progress.seconds_left), 60)
-        parts.append(f"{minutes:d}:{seconds:02d} left")
-    parts += memory
-    if progress.kernels:
-        beside = ", compiling specialised ones" if progress.compiles else ""
-        parts.append(f"{progress.kernels} kernels{beside}")
-    return " | ".join(parts)

@@ -26,6 +26,8 @@ _OBJECT_OPS = _TEXTURE_SPACE_OPS | {
     "displacement",
 }
 _ATTRIBUTE_OPS = frozenset({"attribute", "normal_map", "uv_tangent"})
+# Ops that read anything of what `upload_inputs` uploads
+INPUT_OPS = _OBJECT_OPS | _ATTRIBUTE_OPS | {"object_info", "uv", "object_attribute"}
 # Ops that read where the camera is, or how wide its pixels are
 CAMERA_OPS = frozenset({"bump", "camera_coordinates", "window_coordinates", "vector_transform", "wireframe"})
 

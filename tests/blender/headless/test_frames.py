@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import tempfile
 import threading
 import weakref
@@ -68,6 +69,15 @@ def test_frames_are_one_animation_that_blender_evaluates_once_a_frame(blend, tmp
     assert done.returncode == 0, done.stderr
     assert [each for each in seen if each[1] == "RENDER"] == [(n, "RENDER") for n in (2, 3, 4)]
     assert len(seen) <= 4, "the view of a window that is not there is evaluated at the end alone"
+
+
+def test_lines_of_progress_name_their_frame(blend, monkeypatch):
+    """As those of a Blender without a window, for farm managers."""
+    monkeypatch.setattr("rendering.progress.PLAIN_SECONDS", 0.0)
+    done = call_script("render.py", blend, "--frames", "2..3")
+    assert done.returncode == 0, done.stderr
+    found = re.findall(r"^Fra: (\d+) \| Sample \d+/\d+ \| ", done.stderr, re.MULTILINE)
+    assert sorted(set(found)) == ["2", "3"], done.stderr
 
 
 def test_frames_without_a_picture_leave_films_alone(blend, tmp_path):

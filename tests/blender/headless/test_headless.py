@@ -15,6 +15,7 @@ bpy = pytest.importorskip("bpy")
 
 from raybatch_addon.blender import exit_code, frame, reports
 from raybatch_addon.blender.status import status, terminal
+from raybatch_addon.blender.status.text import status_text
 from raybatch_addon.core.errors import SettingsError
 from raybatch_addon.core.observers import Progress
 from raybatch_addon.export.asked import asked
@@ -263,9 +264,9 @@ def test_an_animation_of_short_frames_prints_few_lines_and_its_end(animated, tmp
 
 def test_the_status_line_says_that_kernels_are_compiled_beside():
     tier = replace(PROGRESS, kernels="general")
-    assert status.status_text(tier).endswith(" | general kernels")
+    assert status_text(tier).endswith(" | general kernels")
     beside = replace(tier, compiles=True)
-    assert status.status_text(beside).endswith(" | general kernels, compiling specialised ones")
+    assert status_text(beside).endswith(" | general kernels, compiling specialised ones")
 
 
 @pytest.mark.parametrize(("codes", "left"), [([1], 1), ([3], 3), ([1, 3], 3), ([3, 1], 3)])

@@ -2,25 +2,27 @@
 
 import subprocess
 import sys
+import tempfile
+from pathlib import Path
 
 import numpy as np
 import pytest
 import warp as wp
 
-from raybatch_addon.core.device import failures
 from raybatch_addon.core.device.devices import start_warp
 from raybatch_addon.core.device.failures import named_failures
 from raybatch_addon.core.errors import DeviceError, OutOfMemoryError, SceneError
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
+from tests.core.device.faults import KINDS, Faults
 from tests.core.device.small_kernels import ROOT
+from tests.renders.beyond_memory import least_budget
 from tests.support import scenes
 from tests.support.under_test import DEVICE
 
 ON_CPU = pytest.mark.skipif(DEVICE != "cpu", reason="on the CPU alone")
 ON_CUDA = pytest.mark.skipif(DEVICE == "cpu", reason="on a CUDA device alone")
 SETTINGS = RenderSettings(sample_count=2, bounce_max=3, seed=5, thread_count=1)
-TRIED = 12  # places of each kind, where it is not thorough
 
 start_warp()
 CPU = wp.get_device("cpu")
@@ -34,38 +36,8 @@ def _count(out: wp.array(dtype=float)):
 pytestmark = pytest.mark.usefixtures("general_kernels")
 
 
-class Faults:
-    """Counts launches and allocations, and lets one of them fail as Warp does."""
-
-    def __init__(self, monkeypatch):
-        self.kind, self.at, self.seen = "", 0, 0
-        context = wp._src.context
-        self._watch(
-            monkeypatch, wp, "launch", "launch", "Warp CUDA error 700: an illegal memory access was encountered"
-        )
-        self._watch(monkeypatch, context.Launch, "launch", "launch", "Warp CUDA error 719: unspecified launch failure")
-        message = "Failed to allocate 640 bytes on device 'cpu'"
-        self._watch(monkeypatch, context.CpuDefaultAllocator, "allocate", "allocation", message)
-
-    def _watch(self, monkeypatch, owner, name, kind, message):
-        within = getattr(owner, name)
-
-        def watched(*arguments, **options):
-            if kind == self.kind:
-                self.seen += 1
-                if self.seen == self.at:
-                    raise RuntimeError(message)
-            return within(*arguments, **options)
-
-        monkeypatch.setattr(owner, name, watched)
-
-    def begin(self, kind, at=0):
-        self.kind, self.at, self.seen = kind, at, 0
-
-
 @pytest.fixture
 def faults(monkeypatch):
-    monkeypatch.setattr(failures, "_is_of_warp", lambda _error: True)  # they are raised here
     return Faults(monkeypatch)
 
 
@@ -73,31 +45,34 @@ def render(session):
     return session.render(scenes.mixed(), SETTINGS).passes["Combined"]
 
 
+def render_beyond_memory(session):
+    """With a page or two of geometry on the device, and the others in a file."""
+    return least_budget.render(session, thread_count=1).passes["Combined"]
+
+
 @ON_CPU
-@pytest.mark.parametrize(
-    "kind, raised, said",
-    [
-        ("launch", DeviceError, "cpu stopped: Warp CUDA error 7.*; try again, or render on another device"),
-        ("allocation", OutOfMemoryError, "close other programs|use few"),
-    ],
-)
-def test_a_failure_anywhere_is_named_and_the_next_render_is_whole(kind, raised, said, faults, pytestconfig):
-    expected = render(Session("cpu"))
+@pytest.mark.parametrize("rendered, step", [(render, 1), (render_beyond_memory, 9)])
+@pytest.mark.parametrize("kind, raised, said", KINDS)
+def test_a_failure_anywhere_is_named_and_the_next_render_is_whole(
+    rendered, step, kind, raised, said, faults, pytestconfig, tmp_path
+):
+    def opened():
+        """A session without pages of an earlier one."""
+        return Session("cpu", page_folder=Path(tempfile.mkdtemp(dir=tmp_path)))
+
+    expected = rendered(opened())
     faults.begin(kind)
-    render(Session("cpu"))
-    count = faults.seen
-    assert count > 50
-    step = 1 if pytestconfig.option.thorough else count // TRIED
-    for at in range(1, count + 1, step):
-        session = Session("cpu")
+    rendered(opened())
+    for at in faults.places(pytestconfig.option.thorough, step):
+        session = opened()
         faults.begin(kind, at)
         try:  # what is allocated for speed alone may be done without
-            np.testing.assert_array_equal(render(session), expected)
+            np.testing.assert_array_equal(rendered(session), expected)
             assert kind == "allocation"
         except raised as error:
             assert pytest.raises(raised, match=said).matches(error), error
         faults.begin("")
-        np.testing.assert_array_equal(render(session), expected, err_msg=f"after {kind} {at}")
+        np.testing.assert_array_equal(rendered(session), expected, err_msg=f"after {kind} {at}")
         session.close()
 
 

@@ -2,7 +2,6 @@
 
 import threading
 import time
-from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -10,32 +9,10 @@ import pytest
 
 from raybatch_addon.core.denoise.library import DenoiseStoppedError
 from raybatch_addon.core.errors import DeviceError
-from raybatch_addon.core.live.picture import LiveRequest
 from raybatch_addon.core.live.render import LiveRender
 from raybatch_addon.core.scene.description import Frame
-from raybatch_addon.core.settings.settings import RenderSettings
-from tests.support.scenes import camera, mixed
-
-SECONDS = 120.0  # a test waits for this at most: kernels may have to be compiled
-
-
-class Source:
-    """Lends one session, and can want it back."""
-
-    def __init__(self, session):
-        self.opened, self.wanted, self.lent = session, False, 0
-        self.free = threading.Event()
-        self.free.set()
-
-    @contextmanager
-    def session(self, request, given_up):
-        while not self.free.is_set() and not given_up():
-            time.sleep(0.005)
-        self.lent += 1
-        yield self.opened if self.free.is_set() else None
-
-    def is_wanted(self, has_shown):
-        return self.wanted
+from tests.core.live.lending import SECONDS, Source, request, wait_for
+from tests.support.scenes import camera
 
 
 @pytest.fixture
@@ -52,18 +29,6 @@ def live(session):
     source.free.set()
     render.close()
     assert render.join(SECONDS)
-
-
-def request(number, samples=8, side=1, size=(48, 40), **changes):
-    scene = replace(mixed(Frame(*size)), **changes)
-    return LiveRequest(number, scene, RenderSettings(sample_count=samples), side)
-
-
-def wait_for(condition):
-    end = time.monotonic() + SECONDS
-    while not condition():
-        assert time.monotonic() < end, "nothing came"
-        time.sleep(0.002)
 
 
 def test_a_picture_grows_and_ends_as_the_session_renders_it(live, session):

@@ -8,7 +8,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from ...device.bulk import digest_of
-from ...programs.inputs_data import CAMERA_OPS, corner_arrays
+from ...programs.inputs_data import CAMERA_OPS, INPUT_OPS, corner_arrays
 from ...programs.op import op_named
 from ...scene.description import Image, Mesh, Scene
 from ...scene.features import scene_volumes
@@ -110,12 +110,14 @@ def arrays_read(mesh: Mesh, ops: Iterable[str]) -> list[np.ndarray | None]:
 
 
 def kept_inputs_key(scene: Scene, ops: Sequence[str], device: str) -> tuple[list[np.ndarray | None], tuple]:
-    """The same, but for maps between the spaces of objects and the world, which follow from places alone."""
+    """The same, but for maps between the spaces of objects and the world, which follow from places alone, and for ops
+    that read nothing of the inputs: a node that comes into a graph or goes has nothing uploaded again.
+    """
     places = [is_mirrored_where_baked(scene)]
     if "generated" in ops:
         places.append((np.asarray(scene.instances.transform) != IDENTITY).any((1, 2)))
         places.append(deforming_meshes(scene))
-    return inputs_key(scene, ops, device, places)
+    return inputs_key(scene, [op for op in ops if op in INPUT_OPS], device, places)
 
 
 def _motion(scene: Scene) -> list[np.ndarray]:

@@ -18,12 +18,14 @@ MATERIALS = 20
 FLOOR, BALL, FIRST_SHARED = range(3)
 
 
-def painted(color: float, reads_places: bool) -> Material:
-    """A material of a program, whose pattern may lie in the space of its object."""
+def painted(color: float, reads_places: bool, has_gamma: bool = False) -> Material:
+    """A material of a program, whose pattern may lie in the space of its object; `has_gamma`: with a node more."""
     builder = ProgramBuilder()
     normal, _, _ = builder.value("normals")
     place = builder.value("object_coordinates", 0) if reads_places else normal
     tint = builder.value("multiply_colors", builder.value("multiply_colors", place, place), (color, 0.5, 0.25))
+    if has_gamma:
+        tint = builder.value("gamma", tint, 1.25)
     if color > 1:
         builder.closure("emission", tint)
     else:
@@ -80,6 +82,14 @@ def recolored(scene: Scene, index: int, factor: float) -> Scene:
     return replace(scene, materials=tuple(materials))
 
 
+def regraphed(scene: Scene, index: int) -> Scene:
+    """The material `index` has a node more, of a kind that no other has."""
+    materials = list(scene.materials)
+    reads_places = "object_coordinates" in materials[index].program.ops
+    materials[index] = painted(0.04 * (1 + index), reads_places, has_gamma=True)
+    return replace(scene, materials=tuple(materials))
+
+
 def moved(scene: Scene, instance: int, by: float) -> Scene:
     """One instance is elsewhere."""
     transform = scene.instances.transform.copy()
@@ -98,6 +108,7 @@ EDITS = {
     "camera": lambda scene: replace(scene, camera=scenes.camera(eye=(0.5, -6, 2))),
     "value": lambda scene: recolored(scene, 1, 0.9),
     "value of an emitter": lambda scene: recolored(scene, MATERIALS - 1, 0.9),
+    "graph": lambda scene: regraphed(scene, 1),
     "place": lambda scene: moved(scene, FIRST_SHARED + 3, 0.01),
     "place in world space": lambda scene: moved(scene, BALL, 0.01),
     "place of an emitter": lambda scene: moved(scene, FLOOR, 0.01),

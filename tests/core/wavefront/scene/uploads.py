@@ -35,11 +35,17 @@ def counted_uploads(monkeypatch) -> Uploads:
     On the CPU what is made of NumPy's arrays counts as on another device, whether it is copied there or not. What is
     made for the CPU by its name, or of an address, is no upload but the source of one.
     """
-    counted, sources = Uploads(), {}
+    counted, sources, made_within = Uploads(), {}, [0]  # an array is copied into by what makes it
     make, copy, launch = wp.array.__init__, wp.copy, wp.launch
 
     def init(self, *args, **kwargs):
-        make(self, *args, **kwargs)
+        made_within[0] += 1
+        try:
+            make(self, *args, **kwargs)
+        finally:
+            made_within[0] -= 1
+        if made_within[0]:
+            return
         data = args[0] if args else kwargs.get("data")
         of_host = isinstance(kwargs.get("device"), str) and kwargs["device"] == "cpu"
         if (data is not None and of_host) or (kwargs.get("ptr") is not None and of_host):
@@ -48,7 +54,7 @@ def counted_uploads(monkeypatch) -> Uploads:
             counted.add(self, int(self.capacity))
 
     def copied(dest, src, dest_offset=0, src_offset=0, count=0, stream=None):
-        if sources.pop(id(src), None) is not None:
+        if sources.pop(id(src), None) is not None and not made_within[0]:
             counted.add(dest, (count or src.size) * wp.types.type_size_in_bytes(src.dtype))
         copy(dest, src, dest_offset, src_offset, count, stream)
 

@@ -229,7 +229,10 @@ class StreamingTracer:
         return totals
 
     def release(self) -> None:
-        """See `Tracer.release`: nothing is captured."""
+        """See `Tracer.release`: nothing is captured; nobody waits here, or holds pages, until rays come again. A
+        traceback may keep this tracer after an error, whose rays will never go on: others need its pages.
+        """
+        self._view.close()
 
     def close(self) -> None:
         """Nobody waits here any more; rays under way are given up."""

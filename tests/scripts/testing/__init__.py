@@ -1,0 +1,1 @@
+"""Tests of the scripts that run tests, or try Blender's program."""
