@@ -57,6 +57,8 @@ def error_line(statistics: dict[str, Any]) -> str:
     if samples is None:
         return ""
     parts = [f"{samples:,} sample{'' if samples == 1 else 's'} per pixel"]
+    if not statistics.get("stopped_by") and (mean := _samples_mean(statistics)) is not None:
+        parts = [f"{mean:,.1f} samples per pixel"]  # also those of a round that did not come to its end
     if adaptive := statistics.get("adaptive"):
         parts = [
             f"{adaptive['samples_mean']:,.0f} samples per pixel, {samples:,} at most",
@@ -75,6 +77,14 @@ def error_line(statistics: dict[str, Any]) -> str:
     elif not statistics.get("stopped_by"):
         parts.append("cancelled")
     return ", ".join(parts)
+
+
+def _samples_mean(statistics: dict[str, Any]) -> float | None:
+    """Samples of a pixel in the mean, of all that reached the film; None where that is not known."""
+    if "samples" not in statistics or "frame" not in statistics:
+        return None
+    x0, y0, x1, y1 = statistics["frame"]["region"]
+    return statistics["samples"] / ((x1 - x0) * (y1 - y0))
 
 
 def run_lines(run: Run, target: float) -> list[str]:

@@ -48,7 +48,7 @@ class RAYBATCH_RENDER_PT_checkpoint(EnginePanel, bpy.types.Panel):
         layout.prop(own, "interval")
         path = checkpoint_path(scene, context.view_layer.name)
         found = "The next render goes on from there, if nothing but its samples has changed"
-        draw_lines(layout, context, [f"Kept in {path}", *([found] if path.is_file() else [])])
+        draw_lines(layout, context, [f"Kept as {path.name} in {path.parent}", *([found] if path.is_file() else [])])
 
 
 _classes = (RayBatchCheckpoint, RAYBATCH_RENDER_PT_checkpoint)

@@ -36,8 +36,13 @@ class RAYBATCH_RENDER_PT_last_render(EnginePanel, bpy.types.Panel):
         for icon, texts in (("ERROR", report.errors), ("INFO", report.warnings)):
             for text in texts:
                 draw_box(self.layout, context, text, icon)
-        if not report.errors and not report.warnings:
+        if report.errors or report.warnings:
+            return
+        if report.statistics:
             self.layout.label(text="No warnings", icon="CHECKMARK")
+        else:
+            is_rendered = bpy.app.is_job_running("RENDER")
+            self.layout.label(text="Being rendered" if is_rendered else "No picture was finished", icon="SORTTIME")
 
 
 def report_lines(report: reports.RenderReport) -> list[str]:

@@ -259,6 +259,10 @@ def test_data_is_for_json_as_that_of_the_script():
         ),
         ({"samples_per_pixel": 3, "stopped_by": None, "error": None}, "3 samples per pixel, cancelled"),
         (
+            {"samples_per_pixel": 0, "stopped_by": None, "samples": 82_240, "frame": {"region": [10, 0, 110, 50]}},
+            "16.4 samples per pixel, cancelled",
+        ),
+        (
             {
                 "samples_per_pixel": 8,
                 "stopped_by": "error",

@@ -1,6 +1,7 @@
 """The panels of time: automatic choices, presets, memory, and settings that do not go together."""
 
 import re
+from types import SimpleNamespace
 
 import pytest
 
@@ -10,7 +11,7 @@ from raybatch_addon.blender import reports
 from raybatch_addon.blender.devices import DeviceChoice
 from raybatch_addon.core.settings.settings import SETTINGS
 from raybatch_addon.export.settings import assign_setting, settings_from
-from raybatch_addon.ui import choices, memory
+from raybatch_addon.ui import choices, last_render, memory
 from tests.support.blender_builders import add_grid
 from tests.support.panel_layout import ENGINE, context_of, drawn, own_panels
 
@@ -193,6 +194,17 @@ def test_the_last_render_shows_batching():
         "Geometry on the device 1,499 MB at most; brought there: 355 pages, 23.10 GB"
     ]
     assert _batching_lines(None) == []
+
+
+@pytest.mark.parametrize("is_rendered, said", [(True, "Being rendered"), (False, "No picture was finished")])
+def test_a_render_that_is_not_over_has_no_warnings_yet(scene, monkeypatch, is_rendered, said):
+    monkeypatch.setattr(last_render, "bpy", SimpleNamespace(app=SimpleNamespace(is_job_running=lambda _: is_rendered)))
+    reports.begin(scene.name, 1)
+    shown = next(each for each in own_panels() if each.__name__ == "RAYBATCH_RENDER_PT_last_render")
+    assert [note[1] for note in drawn(shown, context_of(scene)) if note[0] == "label"] == [
+        f"{scene.name}, frame 1",
+        said,
+    ]
 
 
 def test_values_in_words():

@@ -55,7 +55,9 @@ class RenderStatus:
         if not self._is_due():
             return
         if progress.stage == "render":
-            self._engine.update_progress(progress.fraction)
+            # of a render that goes on from a checkpoint the fraction counts what this run has to do
+            share = progress.samples_done / progress.samples_total
+            self._engine.update_progress(min(max(progress.fraction, share), 1.0))
         if progress.memory_bytes:
             used, peak = progress.memory_bytes / 2**20, progress.memory_peak / 2**20
             self._engine.update_memory_stats(memory_used=used, memory_peak=max(used, peak))

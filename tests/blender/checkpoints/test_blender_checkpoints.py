@@ -147,7 +147,7 @@ def test_a_file_that_cannot_be_written_is_a_warning(kept, tmp_path):
 
 def test_the_panel_says_where_the_file_is(kept, path):
     texts = " ".join(note[1] for note in drawn(RAYBATCH_RENDER_PT_checkpoint, context_of(kept)) if note[0] == "label")
-    assert "Kept in" in texts and path.name in texts.replace(" ", "")
+    assert "Kept as" in texts and path.name in texts, "the name is not broken"
     render()
     texts = " ".join(note[1] for note in drawn(RAYBATCH_RENDER_PT_checkpoint, context_of(kept)) if note[0] == "label")
     assert "The next render goes on from" in texts

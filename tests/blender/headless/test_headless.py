@@ -174,6 +174,16 @@ def test_lines_of_progress_come_at_most_every_five_seconds(said):
     assert said.lines[1][1].startswith("Sample 3/16 | "), "as Cycles has it, for those who read it"
 
 
+def test_the_bar_of_a_render_that_goes_on_begins_where_its_samples_are(said):
+    shares = []
+    said.engine.update_progress = shares.append
+    layer = said.layer(1)
+    for fraction, samples in ((0.5, 3), (0.0, 12), (1.0, 16)):
+        said.wait(6)
+        layer.update(replace(PROGRESS, fraction=fraction, samples_done=samples))
+    assert shares == [0.5, 0.75, 1.0]
+
+
 def test_short_frames_have_a_line_in_five_seconds_together_and_the_end_is_said(said):
     for frame_number in range(1, 41):
         layer = said.layer(frame_number)

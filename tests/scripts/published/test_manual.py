@@ -9,6 +9,7 @@ import pytest
 from tests.support.command_line import ROOT
 
 MANUAL = ROOT / "docs/manual"
+WALK = ROOT / "scripts/testing/window/walk.py"
 PICTURE_BYTES = 150_000
 _GAP = "…"  # what stands for names and numbers in messages
 
@@ -53,3 +54,23 @@ def test_pictures_are_shown_and_small():
     text = "\n".join(page.read_text(encoding="utf-8") for page in (ROOT / "docs").rglob("*.md"))
     assert pictures and [name for name in pictures if f"images/{name})" not in text] == []
     assert [name for name, path in pictures.items() if path.stat().st_size > PICTURE_BYTES] == []
+
+
+def taken_pictures():
+    """The names of pictures in `walk.py`, which takes them: first arguments of `take`, `take_tab`, and its panels."""
+    names = set()
+    for node in ast.walk(ast.parse(WALK.read_text(encoding="utf-8"))):
+        if (
+            isinstance(node, ast.Call)
+            and isinstance(node.func, ast.Attribute)
+            and node.func.attr in ("take", "take_tab")
+        ):
+            if isinstance(node.args[0], ast.Constant):
+                names.add(node.args[0].value)
+        elif isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "PANELS":
+            names |= {f"panel-{name.replace('_', '-')}" for name in ast.literal_eval(node.value)}
+    return names
+
+
+def test_the_walk_takes_each_picture_of_the_manual():
+    assert taken_pictures() == {path.stem for path in (MANUAL / "images").iterdir()}
