@@ -128,8 +128,7 @@ class Session:
         Args:
             scene: what to render.
             settings: default: the session's.
-            on_tile, on_progress: called on this thread with each finished `Tile`, and several times a second with
-                `Progress`.
+            on_tile, on_progress: called on this thread with each finished `Tile`, and now and then with `Progress`.
             cancelled: asked many times a second, on this thread; True ends the render soon, with what is done, and
                 `Cancel.AT_ONCE` sooner: paths under way are missing from the film, and no render goes on from it.
             observers: receive tiles and progress too, and a `Snapshot` at each sample count that they ask for and the
@@ -187,9 +186,8 @@ class Session:
             film.resume_state = state
         modules = [module for place in places for module in place.modules]
         integrators = [each for place in places for each in place.integrators]
-        film.statistics = job.statistics(
-            film, state, integrators, modules, places[0].scene if places else None, devices
-        )
+        there = places[0].scene if places else None
+        film.statistics = job.statistics(film, state, integrators, modules, there, devices)
         job.rendering = None  # it leads back to the job: the film would stay until somebody looks for cycles
         return film
 
