@@ -71,10 +71,10 @@ def test_frames_are_one_animation_that_blender_evaluates_once_a_frame(blend, tmp
     assert len(seen) <= 4, "the view of a window that is not there is evaluated at the end alone"
 
 
-def test_lines_of_progress_name_their_frame(blend, monkeypatch):
+def test_lines_of_progress_name_their_frame(blend, tmp_path, monkeypatch):
     """As those of a Blender without a window, for farm managers."""
     monkeypatch.setattr("rendering.progress.PLAIN_SECONDS", 0.0)
-    done = call_script("render.py", blend, "--frames", "2..3")
+    done = call_script("render.py", blend, "--frames", "2..3", "--film", tmp_path / "out" / "f.npz")
     assert done.returncode == 0, done.stderr
     found = re.findall(r"^Fra: (\d+) \| Sample \d+/\d+ \| ", done.stderr, re.MULTILINE)
     assert sorted(set(found)) == ["2", "3"], done.stderr
