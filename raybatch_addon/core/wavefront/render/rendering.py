@@ -22,7 +22,7 @@ from ...observers import Cancel
 from ...scene.passes import GUIDE_PASSES
 from ..integrator import DRAIN_SECONDS, TileIntegrator, TileState
 from .deal import Deal
-from .events import RenderEvents
+from .events import RenderEvents, StateKeeper
 from .resume import ResumeState
 from .steps import TileSteps
 from .summary import complaints, error_summary, ray_totals
@@ -67,6 +67,7 @@ class Rendering:
         self._earlier = film.sample_total  # paths that are in the film already
         self._earlier_invalid = state.invalid_samples
         self._begun = time.perf_counter()
+        self._items_kept = 0  # paths of this call that were there when the state was kept last
         self.error: HalfError | None = None  # at the end of the last round where it was looked at
         self.error_samples = 0  # of every pixel, then
         self.warnings: list[str] = []
@@ -127,9 +128,10 @@ class Rendering:
         """Let the workers render what is left of the round, with stops for who keeps it; False: it was cancelled."""
         state, keeper = self._state, self._events.keeper
         while True:
-            if keeper and keeper.is_due():
+            if keeper and self._is_due(keeper):
                 self._note_invalid()
                 keeper.keep(state)
+                self._items_kept = self._items_done()
             is_kept = self._render_tiles()
             if not (is_kept and state.drained and state.open_tiles):
                 return state.drained and not state.open_tiles
@@ -155,7 +157,7 @@ class Rendering:
                 for integrator in self._integrators:
                     integrator.patience = KEPT_PATIENCE if events.keeper else patience
                 stop.set()
-            elif events.keeper and not stop.is_set() and events.keeper.is_due():
+            elif events.keeper and not stop.is_set() and self._is_due(events.keeper):
                 is_kept = True
                 stop.set()
 
@@ -294,6 +296,10 @@ class Rendering:
         if limit := self._state.policy.time_limit:
             done = max(done, min(seconds / limit, 1.0))
         self._events.on_progress(done, (self._earlier + items) / self._pixels, seconds)
+
+    def _is_due(self, keeper: StateKeeper) -> bool:
+        """Whether the workers are to stop for `keeper` now: there is something new to keep."""
+        return self._items_done() > self._items_kept and keeper.is_due()
 
     def _items_done(self) -> int:
         """Paths of this call that came to their end."""
