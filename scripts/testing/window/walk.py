@@ -162,7 +162,7 @@ class Walk:
         bpy.context.scene.render.engine = "BLENDER_EEVEE"
         yield 1.0
         self.tab.click_engine()
-        yield 1.5
+        yield 3.0
         right, top = self.screen.x1, self.screen.y1
         self.pictures.take("choose-engine", Box(right - 700, top - 540, right, top))
         hands.press("r")  # the letter that is underlined
@@ -209,8 +209,8 @@ class Walk:
         bpy.context.scene.raybatch_checkpoint.use = True
         yield from self.tab.open_alone("RAYBATCH_RENDER_PT_checkpoint")
         yield from self.render()
-        yield self.reached(1)
-        yield 0.5
+        yield self.reached(1.5)  # the first sample of all tiles has been drawn by then
+        yield 1.0
         self.take("render-early")
         yield self.reached(12)
         yield 0.5
