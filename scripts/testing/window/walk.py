@@ -260,15 +260,15 @@ class Walk:
         scene.render.engine = "RAYBATCH"
         scene.render.resolution_percentage = 50
         scene.raybatch.sample_count, scene.raybatch.error_estimate = SMALL_SAMPLES, "ON"
+        self.run(bpy.ops.raybatch.tune)
+        yield is_rendering
+        yield is_idle
         for sequence in ("SOBOL", "INDEPENDENT", "BLUE_NOISE"):
             scene.raybatch.sample_sequence = sequence
             self.run(bpy.ops.raybatch.render_in_new_slot)
             yield is_rendering
             yield is_idle
         scene.raybatch.sample_sequence = "SOBOL"
-        self.run(bpy.ops.raybatch.tune)
-        yield is_rendering
-        yield is_idle
         scene.cycles.samples = 512
         self.run(bpy.ops.raybatch.check_scene)
         scene.raybatch_checkpoint.use, scene.raybatch.denoise = True, "ON"
