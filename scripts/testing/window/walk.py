@@ -162,7 +162,7 @@ class Walk:
         bpy.context.scene.render.engine = "BLENDER_EEVEE"
         yield 1.0
         self.tab.click_engine()
-        yield 1.5
+        yield 3.0
         right, top = self.screen.x1, self.screen.y1
         self.pictures.take("choose-engine", Box(right - 700, top - 540, right, top))
         hands.press("r")  # the letter that is underlined
@@ -209,8 +209,8 @@ class Walk:
         bpy.context.scene.raybatch_checkpoint.use = True
         yield from self.tab.open_alone("RAYBATCH_RENDER_PT_checkpoint")
         yield from self.render()
-        yield self.reached(1)
-        yield 0.5
+        yield self.reached(1.5)  # the first sample of all tiles has been drawn by then
+        yield 1.0
         self.take("render-early")
         yield self.reached(12)
         yield 0.5
@@ -260,15 +260,15 @@ class Walk:
         scene.render.engine = "RAYBATCH"
         scene.render.resolution_percentage = 50
         scene.raybatch.sample_count, scene.raybatch.error_estimate = SMALL_SAMPLES, "ON"
+        self.run(bpy.ops.raybatch.tune)
+        yield is_rendering
+        yield is_idle
         for sequence in ("SOBOL", "INDEPENDENT", "BLUE_NOISE"):
             scene.raybatch.sample_sequence = sequence
             self.run(bpy.ops.raybatch.render_in_new_slot)
             yield is_rendering
             yield is_idle
         scene.raybatch.sample_sequence = "SOBOL"
-        self.run(bpy.ops.raybatch.tune)
-        yield is_rendering
-        yield is_idle
         scene.cycles.samples = 512
         self.run(bpy.ops.raybatch.check_scene)
         scene.raybatch_checkpoint.use, scene.raybatch.denoise = True, "ON"
