@@ -27,9 +27,18 @@ def holding(code, temporary, *arguments):
     )
     with process:
         try:
-            yield process, Path(process.stdout.readline().strip())
+            yield process, _held_path(process.stdout, temporary)
         finally:
             process.kill()
+
+
+def _held_path(lines, temporary):
+    """The first line that is a path below `temporary`: Blender may have printed others before."""
+    for line in lines:
+        path = Path(line.strip())
+        if path.is_relative_to(temporary):
+            return path
+    raise AssertionError("the process ended before it held a folder")
 
 
 def start_another(temporary):
