@@ -68,7 +68,8 @@ def test_a_failure_anywhere_is_named_and_the_next_render_is_whole(
         faults.begin(kind, at)
         try:  # what is allocated for speed alone may be done without
             np.testing.assert_array_equal(rendered(session), expected)
-            assert kind == "allocation"
+            # how many launches there are beyond memory depends on the order in which pages come
+            assert kind == "allocation" or (rendered is render_beyond_memory and faults.seen < at)
         except raised as error:
             assert pytest.raises(raised, match=said).matches(error), error
         faults.begin("")
