@@ -76,7 +76,8 @@ class LiveRender:
         # a finest picture that was stopped; one with all its samples while it was denoised
         self._kept: tuple[LiveRequest, Film] | None = None
         self._shown_since_lent = False
-        self._drawn: LivePicture | None = None  # the last one that was, by somebody who tells
+        # request and side of the picture that was drawn last, by somebody who tells
+        self._drawn: tuple[int, int] | None = None
         self._closed = False
         self._thread: threading.Thread | None = None
         self.picture: LivePicture | None = None
@@ -105,7 +106,7 @@ class LiveRender:
     def note_drawn(self, picture: LivePicture) -> None:
         """`picture` is being drawn."""
         with self._changed:
-            self._drawn = picture
+            self._drawn = _mark_of(picture)
             self._changed.notify_all()
 
     @property
@@ -190,11 +191,11 @@ class LiveRender:
 
     def _rest(self, request: LiveRequest) -> None:
         """Wait for the draw of the first picture of `request`, if anybody tells of draws, but not for long."""
-        picture = self.picture
         with self._changed:
-            if self._drawn is not None and picture is not None:
+            if self._drawn is not None and self.picture is not None:
+                first = _mark_of(self.picture)
                 self._changed.wait_for(
-                    lambda: self._drawn is picture or self._is_superseded(request) or self._must_stop(), REST_SECONDS
+                    lambda: self._drawn == first or self._is_superseded(request) or self._must_stop(), REST_SECONDS
                 )
 
     def _shown_side(self, request: LiveRequest) -> int | None:
@@ -330,6 +331,10 @@ class LiveRender:
             self.picture = picture
         self._shown_since_lent = True
         self._on_change()
+
+
+def _mark_of(picture: LivePicture) -> tuple[int, int]:
+    return picture.request.number, picture.side
 
 
 class _Shown(RenderObserver):

@@ -8,8 +8,7 @@ import pytest
 from raybatch_addon.core.live import render as live_module
 from raybatch_addon.core.live.render import LiveRender
 from raybatch_addon.core.observers import Cancel
-
-from .test_live_render import SECONDS, Source, request, wait_for
+from tests.core.live.lending import SECONDS, Source, request, wait_for
 
 
 @pytest.fixture

@@ -66,7 +66,7 @@ class Rendering:
         self._total, self._pixels = state.items_to_come, state.pixel_count
         self._earlier = film.sample_total  # paths that are in the film already
         self._earlier_invalid = state.invalid_samples
-        self._begun = time.perf_counter()
+        self._begun = self._reported = time.perf_counter()
         self._items_kept = 0  # paths of this call that were there when the state was kept last
         self.error: HalfError | None = None  # at the end of the last round where it was looked at
         self.error_samples = 0  # of every pixel, then
@@ -190,7 +190,6 @@ class Rendering:
             work(self._integrators[0], *self._alone(look, stop))
         for thread in threads:
             thread.start()
-        reported = time.perf_counter()
         try:
             while working:
                 look()
@@ -202,11 +201,9 @@ class Rendering:
                         working -= 1
                     else:
                         self._hand_out(result)
+                    self._report_progress()
                 except queue.Empty:
-                    if time.perf_counter() - reported < PROGRESS_SECONDS:
-                        continue
-                self._report_progress()
-                reported = time.perf_counter()
+                    self._report_now_and_then()
         finally:
             stop.set()
             for thread in threads:
@@ -229,20 +226,20 @@ class Rendering:
         """
         looked = time.perf_counter()
 
-        def look_up() -> None:
-            nonlocal looked
-            look()
-            self._report_progress()
-            looked = time.perf_counter()
-
         def is_stopped() -> bool:
+            nonlocal looked
             if time.perf_counter() - looked >= POLL_SECONDS:
-                look_up()
+                look()
+                self._report_now_and_then()
+                looked = time.perf_counter()
             return stop.is_set()
 
         def finish(tile: FinishedTile) -> None:
+            nonlocal looked
             self._hand_out(tile)
-            look_up()
+            look()
+            self._report_progress()
+            looked = time.perf_counter()
 
         return is_stopped, finish
 
@@ -296,6 +293,11 @@ class Rendering:
         if limit := self._state.policy.time_limit:
             done = max(done, min(seconds / limit, 1.0))
         self._events.on_progress(done, (self._earlier + items) / self._pixels, seconds)
+        self._reported = time.perf_counter()
+
+    def _report_now_and_then(self) -> None:
+        if time.perf_counter() - self._reported >= PROGRESS_SECONDS:
+            self._report_progress()
 
     def _is_due(self, keeper: StateKeeper) -> bool:
         """Whether the workers are to stop for `keeper` now: there is something new to keep."""

@@ -1,5 +1,6 @@
 """A render that is ended at once gives up its paths, and leaves nothing behind for the next one."""
 
+import time
 from contextlib import closing
 
 import pytest
@@ -37,18 +38,20 @@ def test_the_next_film_has_the_same_bits(monkeypatch, changes):
         assert session.render(scene, settings).passes["Combined"].tobytes() == whole
 
 
-def test_no_path_is_shaded_after_it():
-    scene, ended = scenes.mixed(scenes.Frame(64, 48)), []
-    with closing(Session(DEVICE)) as session, pytest.MonkeyPatch.context() as patch:
-        real = TileIntegrator._shade
+def test_no_path_is_shaded_after_it(monkeypatch):
+    """Also in the turn that was under way: its rays are back, and the calling thread has heard of the end."""
+    scene, traced, shaded, real = scenes.mixed(scenes.Frame(64, 48)), [], [], TileIntegrator._trace
 
-        def shade(self, *args):
-            assert not (ended and self.patience == 0.0), "paths went on after they were given up"
-            ended.append(True)
-            return real(self, *args)
+    def trace(self, work, film, camera, stop):
+        back = real(self, work, film, camera, stop)
+        traced.append(self)
+        while not stop():
+            time.sleep(0.001)
+        return back
 
-        patch.setattr(TileIntegrator, "_shade", shade)
-        film = session.render(
-            scene, SETTINGS.replace(sample_count=1_000_000), cancelled=lambda: Cancel.AT_ONCE if ended else False
-        )
-        assert not film.complete and ended
+    monkeypatch.setattr(TileIntegrator, "_trace", trace)
+    monkeypatch.setattr(TileIntegrator, "_shade", lambda *_: shaded.append(True))
+    settings = SETTINGS.replace(sample_count=1_000_000)
+    with closing(Session(DEVICE)) as session:
+        film = session.render(scene, settings, cancelled=lambda: Cancel.AT_ONCE if traced else False)
+    assert traced and not shaded and not film.complete
