@@ -12,6 +12,7 @@ from raybatch_addon.core.scene.description import Frame
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront import integrator
+from raybatch_addon.core.wavefront.render import rendering
 from raybatch_addon.core.wavefront.tracers.buckets.policy import Selection
 from tests.support import scenes, schedule_scenes
 from tests.support.running.shares import each_of
@@ -195,7 +196,7 @@ def rays_of(film) -> tuple[int, int, int]:
 @pytest.mark.parametrize("way", WAYS)
 def test_stopped_between_tiles_and_resumed(session, comparer, way, monkeypatch):
     """Paths under way are brought to their end, however long that takes; each film counts the rays of its own part."""
-    monkeypatch.setattr(integrator, "DRAIN_SECONDS", 1e9)
+    monkeypatch.setattr(rendering, "DRAIN_SECONDS", 1e9)
     slow = ESTIMATOR.replace(tile_size=6, thread_count=1, ray_count=20, **settings_of(way))
     film, parts = None, []
     while film is None or not film.complete:
@@ -232,7 +233,7 @@ def stop_in_a_tile(monkeypatch, after: int):
 def test_stopped_in_the_middle_of_a_tile_and_resumed(session, comparer, way):
     slow = ESTIMATOR.replace(tile_size=16, thread_count=1, ray_count=30, **settings_of(way))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(integrator, "DRAIN_SECONDS", 1e9)
+        patch.setattr(rendering, "DRAIN_SECONDS", 1e9)
         stop_in_a_tile(patch, 60)
         film = session.render(schedule_scenes.mixed_scene(), slow)
     assert not film.complete and 0 < film.counts.sum() < comparer.plain.counts.sum()
@@ -249,7 +250,7 @@ def test_rays_that_are_given_up_are_reported_and_the_next_render_is_whole(sessio
     """Where rays take too long to come to their end they are left; the film cannot be resumed then, and says so."""
     slow = ESTIMATOR.replace(tile_size=16, thread_count=1, ray_count=30, **settings_of(way))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(integrator, "DRAIN_SECONDS", 0.0)
+        patch.setattr(rendering, "DRAIN_SECONDS", 0.0)
         stop_in_a_tile(patch, 60)
         film = session.render(schedule_scenes.mixed_scene(), slow)
     traced, taken, finished = rays_of(film)

@@ -143,4 +143,4 @@ def test_a_narrow_filter_comes_near_to_none(session):
 
 def test_general_kernels_are_refused_with_the_reason(session):
     film = session.render(room(), FILTERED.replace(kernel_tier="GENERAL", sample_count=1))
-    assert any("texture_filter FOOTPRINT" in warning for warning in film.statistics["warnings"])
+    assert any("Texture Filter at Footprint" in warning for warning in film.statistics["warnings"])

@@ -10,6 +10,7 @@ from raybatch_addon.core.observers import RenderObserver
 from raybatch_addon.core.scene.description import Frame
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront import integrator
+from raybatch_addon.core.wavefront.render import rendering
 from tests.support import scenes
 
 PASSES = ("Combined", "Depth", "Normal", "Position")
@@ -79,7 +80,7 @@ def stopping(after: int):
         return render(self, state, first, count, tells, most)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(integrator, "DRAIN_SECONDS", 1e9)
+        patch.setattr(rendering, "DRAIN_SECONDS", 1e9)
         patch.setattr(integrator.TileIntegrator, "render", stopped)
         yield
 

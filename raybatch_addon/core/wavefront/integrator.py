@@ -45,8 +45,6 @@ from .tracers.choose import make_tracer
 from .tracers.interface import Tracer
 from .volumes.volumes import begin_counts, state_of, with_state
 
-# A stopped tile whose rays are not at their end after this long gives them up [s], unless it is asked otherwise
-DRAIN_SECONDS = 0.25
 TAIL_SHARE = 0.125  # of the slots: below it, without paths to come, turns do little
 
 
@@ -125,7 +123,7 @@ class TileIntegrator:
         begin_counts(self.volumes)
         self.items_done = 0  # paths that came to their end, for progress
         self.tail_seconds = 0.0  # of the last `render`: from its last full waves to the picture
-        self.patience = DRAIN_SECONDS  # of a stopped tile [s]; 0: it gives up in the middle of a turn
+        self.patience = math.inf  # of a stopped tile whose rays are under way [s]; 0: they are given up in mid-turn
 
     def render(
         self, state: TileState, sample_first: int, sample_count: int, stop: Callable[[], bool], most: float = math.inf

@@ -14,7 +14,6 @@ from raybatch_addon.core.checkpoint import file as checkpoint_file
 from raybatch_addon.core.checkpoint.checkpoint import Checkpoint
 from raybatch_addon.core.checkpoint.file import CheckpointError, load_kept
 from raybatch_addon.core.scene.description import Frame
-from raybatch_addon.core.wavefront import integrator
 from raybatch_addon.core.wavefront.render import rendering
 from tests.support import scenes
 from tests.support.watched_renders import FRAME, SETTINGS, TARGET, assert_same
@@ -229,7 +228,7 @@ def test_rays_that_are_given_up_leave_the_copy_before(session, tmp_path, monkeyp
 
 def test_a_stop_waits_for_rays_where_the_film_is_kept(session, tmp_path, monkeypatch):
     """Without a checkpoint it would give them up at once."""
-    monkeypatch.setattr(integrator, "DRAIN_SECONDS", 0.0)
+    monkeypatch.setattr(rendering, "DRAIN_SECONDS", 0.0)
     monkeypatch.setattr(rendering, "POLL_SECONDS", 0.001)
     looks, path = [], tmp_path / "a.checkpoint"
     endless = SETTINGS.replace(sample_count=10_000_000, ray_count=500)

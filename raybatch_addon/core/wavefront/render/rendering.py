@@ -20,7 +20,7 @@ from ...film.tile import FinishedTile
 from ...measure.snapshot import Snapshot
 from ...observers import Cancel
 from ...scene.passes import GUIDE_PASSES
-from ..integrator import DRAIN_SECONDS, TileIntegrator, TileState
+from ..integrator import TileIntegrator, TileState
 from .deal import Deal
 from .events import RenderEvents, StateKeeper
 from .resume import ResumeState
@@ -33,6 +33,8 @@ POLL_SECONDS = 0.01
 PROGRESS_SECONDS = 0.05
 # A render that one worker ends so soon begins no thread [s]
 SHORT_SECONDS = 0.05
+# A cancelled render waits this long for the rays that are under way [s]; those that are left are given up then
+DRAIN_SECONDS = 0.25
 # A cancelled render that is kept waits this long for the rays that are under way, without which it cannot go on [s]
 KEPT_PATIENCE = 5.0
 # Of its part of all paths that are left, a worker begins so much of a tile before that is shown
