@@ -61,8 +61,10 @@ def render_view_layer(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsg
     # with Persistent Data Blender keeps the engine for other frames, and for other renders
     if report is None or (report.job, report.frame) != (finals.job, depsgraph.scene.frame_current):
         missing.begin_look(depsgraph.scene)
-        report = reports.begin(depsgraph.scene.name, depsgraph.scene.frame_current, finals.job)
+        report = reports.RenderReport(depsgraph.scene.name, depsgraph.scene.frame_current, job=finals.job)
         engine.report_of_frame = report
+        if not tuning.is_tuning():  # that makes no picture: the last one's report stays
+            reports.set_last(report)
     if report.errors:
         return
     try:
@@ -85,6 +87,7 @@ def _fail(engine: bpy.types.RenderEngine, report: reports.RenderReport, message:
     line = " ".join(message.split())
     frames_ahead.drop_all()
     report.errors.append(line)
+    reports.set_last(report)
     plain_lines.begin()  # Blender prints the error, and nothing of an end behind it
     if bpy.app.background and not bpy.app.module:
         exit_code.end_with(exit_code.RENDER_FAILED)

@@ -27,9 +27,15 @@ _last: RenderReport | None = None
 
 def begin(scene: str, frame: int, job: int = 0) -> RenderReport:
     """Start the report of a new frame; it is the last one from now on."""
+    report = RenderReport(scene, frame, job=job)
+    set_last(report)
+    return report
+
+
+def set_last(report: RenderReport) -> None:
+    """It is the last one from now on."""
     global _last
-    _last = RenderReport(scene, frame, job=job)
-    return _last
+    _last = report
 
 
 def last() -> RenderReport | None:

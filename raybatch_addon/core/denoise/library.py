@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import RayBatchError
+from ..settings.settings import SETTINGS
 
 VARIABLE = "RAYBATCH_OPEN_IMAGE_DENOISE"
 # What the library is called in its folder, where the loader of the system looks for it too
@@ -153,13 +154,16 @@ def open_library(given: str = "", places: Iterable[Path] = ()) -> DenoiseLibrary
     Raises:
         RayBatchError: it is not there, or cannot be loaded; the message says what to do.
     """
-    cure = "set denoise_library to the path of libOpenImageDenoise, which Blender has in its folder lib"
+    cure = (
+        f"set {SETTINGS['denoise_library'].label} (denoise_library) to the path of libOpenImageDenoise, which Blender "
+        f"has in its folder lib, or turn {SETTINGS['denoise'].label} (denoise) off"
+    )
     if named := given or os.environ.get(VARIABLE, ""):
         path = Path(named).expanduser()
         found = next((path / name for name in FILE_NAMES if (path / name).is_file()), path)
         if not found.is_file():
             whose = "denoise_library" if given else VARIABLE
-            raise RayBatchError(f"for denoising there is no file {found} ({whose}); {cure}, or denoise to OFF")
+            raise RayBatchError(f"for denoising there is no file {found} ({whose}); {cure}")
         return _loaded(str(found))
     for path in (place / name for place in places for name in FILE_NAMES):
         if path.is_file():
@@ -169,4 +173,4 @@ def open_library(given: str = "", places: Iterable[Path] = ()) -> DenoiseLibrary
             return _loaded(name)
         except RayBatchError:
             continue
-    raise RayBatchError(f"for denoising Open Image Denoise is not found; {cure}, or denoise to OFF")
+    raise RayBatchError(f"for denoising Open Image Denoise is not found; {cure}")
