@@ -6,6 +6,7 @@ import json
 import os
 import sys
 import time
+import traceback
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -170,10 +171,11 @@ def every(seconds: float, step: Callable[[], bool], is_good: Callable[[], bool] 
         try:
             if not step():
                 return seconds
-        except Exception:
-            import traceback
-
-            traceback.print_exc()
+        except (Exception, SystemExit) as error:  # Python's own end, within a callback, frees textures of the window
+            if isinstance(error, SystemExit):
+                print(error, file=sys.stderr)
+            else:
+                traceback.print_exc()
             sys.stdout.flush()
             os._exit(1)
         sys.stdout.flush()
