@@ -131,7 +131,8 @@ class _Uploads:
     def add(self, values: np.ndarray, dtype: type) -> wp.array:
         host = np.ascontiguousarray(values, np.int32 if dtype is int else np.float32)
         self.bytes += host.nbytes
-        return wp.array(host, dtype=dtype, device=self._device)
+        # nobody changes it: a CPU reads it where it is
+        return wp.array(host, dtype=dtype, device=self._device, copy=self._device.is_cuda)
 
 
 def _upload_words(words: np.ndarray, device: wp.Device) -> wp.array:

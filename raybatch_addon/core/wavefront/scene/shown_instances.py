@@ -70,9 +70,7 @@ def _has_keys(scene: Scene) -> bool:
 
 
 def _shared_keys(scene: Scene) -> tuple[bytes, ...]:
-    uses = [0] * len(scene.meshes)
-    for mesh in scene.instances.mesh.tolist():
-        uses[mesh] += 1
+    uses = np.bincount(scene.instances.mesh, minlength=len(scene.meshes)).tolist()
     return tuple(mesh_key(m) for m, count in zip(scene.meshes, uses, strict=True) if count > 1 and len(m.triangles))
 
 
