@@ -7,9 +7,12 @@ import warp as wp
 from raybatch_addon.core.bvh.build.entries import entries_of
 from raybatch_addon.core.bvh.memory import ENTRY, GeometrySize
 from raybatch_addon.core.bvh.node import Layout
+from raybatch_addon.core.bvh.pages import build as page_build
 from raybatch_addon.core.bvh.pages import resident
 from raybatch_addon.core.bvh.pages.build import build_paged_scene
+from raybatch_addon.core.bvh.tree import Tree
 from raybatch_addon.core.device import mapped
+from raybatch_addon.core.device.mapped import mapped_empty
 from raybatch_addon.core.scene.flatten import flatten
 from tests.support import paged_scenes
 from tests.support.mapped_arrays import is_mapped
@@ -28,10 +31,22 @@ RECORDS = (
 STILL = ("nodes", "triangles", "top_entry", "merged_instance", "merged_triangle_first", "motion_keys")
 
 
+def values(tree: Tree, name: str) -> bytes:
+    array = getattr(tree, name)
+    return b"" if array is None or not array.size else array.numpy().tobytes()
+
+
 @pytest.mark.parametrize("made", [paged_scenes.everything, paged_scenes.living])
 @pytest.mark.parametrize("store", ["HOST", "DISK"])
 def test_they_are_those_of_the_device(made, store, tmp_path, monkeypatch):
+    laid = []
+
+    def lay(*asked, **options):
+        laid.append(mapped_empty(*asked, **options))
+        return laid[-1]
+
     monkeypatch.setattr(mapped, "MAPPED_LEAST", 1)
+    monkeypatch.setattr(page_build, "mapped_empty", lay)
     scene = made()
     flat, visibility, budget = flatten(scene), scene.instances.visibility, 400_000
 
@@ -46,15 +61,13 @@ def test_they_are_those_of_the_device(made, store, tmp_path, monkeypatch):
     assert "records_behind" not in whole.statistics
     size = behind.statistics["records_behind"]
     assert whole.resident_bytes - behind.resident_bytes == size > 0
-    arrays = {name: getattr(behind.tree, name) for name in RECORDS if getattr(behind.tree, name) is not None}
+    arrays = {name: array for name in RECORDS if (array := getattr(behind.tree, name)) is not None and array.size}
     assert sum(int(each.capacity) for each in arrays.values()) == size
     for name in (*RECORDS, *STILL):
-        own, other = getattr(behind.tree, name), getattr(whole.tree, name)
-        assert (own is None) == (other is None)
-        if own is not None:
-            assert own.numpy().tobytes() == other.numpy().tobytes(), name
-    mapped_ones = [is_mapped(each.numpy()) for each in arrays.values() if each.size]
-    assert all(mapped_ones) if store == "DISK" else not any(mapped_ones)
+        assert values(behind.tree, name) == values(whole.tree, name), name
+    assert all(map(is_mapped, laid))
+    on_disk = {each.ctypes.data for each in laid} & {each.ptr for each in arrays.values()}
+    assert len(on_disk) == (len(arrays) if store == "DISK" else 0)
 
 
 def test_an_entry_takes_no_more_than_it_must():
