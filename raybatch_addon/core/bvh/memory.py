@@ -29,7 +29,7 @@ ROW = 12  # a triangle's indices, or a position
 NORMALS = 36  # of the corners of a triangle
 INSTANCE = 60  # its map, mesh, first slot and a material
 ENTRY = 84  # of the top level: a mesh tree's place, with the inverse map, and its number in a leaf
-ENTRY_HOST = 350  # what is known of an entry, its box and its binary tree, while the top level is built
+ENTRY_HOST = 260  # what is known of an entry, its box and its binary tree, while the top level is built
 # Nodes of the top level for each entry: from above, and at least
 TOP_BYTES_MOST = {Layout.BOXES: 96, Layout.QUANTISED: 40}
 TOP_BYTES = {Layout.BOXES: 36, Layout.QUANTISED: 11}
