@@ -99,11 +99,14 @@ class GeometrySize:
 
     def tree_bytes_most(self, layout: Layout) -> int:
         """Trees and triangles, with copies, nodes for ranges of time, and the top level, from above [bytes]."""
-        trees = TREE_BYTES_MOST[layout] * self.triangles + (1 + NODES_OVER_TIME) * self.step_bytes(layout)
-        return trees + (ENTRY + TOP_BYTES_MOST[layout]) * self.entries
+        return self.mesh_bytes_most(layout) + (ENTRY + TOP_BYTES_MOST[layout]) * self.entries
+
+    def mesh_bytes_most(self, layout: Layout) -> int:
+        """The same without the top level [bytes]."""
+        return TREE_BYTES_MOST[layout] * self.triangles + (1 + NODES_OVER_TIME) * self.step_bytes(layout)
 
     def tree_bytes(self, layout: Layout) -> int:
-        """The same at least, without copies [bytes]."""
+        """Trees, triangles and the top level at least, without copies [bytes]."""
         return TREE_BYTES[layout] * self.triangles + (ENTRY + TOP_BYTES[layout]) * self.entries
 
     def arrays(self) -> int:
@@ -160,7 +163,8 @@ def check_memory(
     there = (total_memory(device) or needed) if all_of_it else free_memory(device)
     if needed > there:
         check_device(device)
-        raise _out_of_memory(size, needed, device, f"{_gigabytes(there)} {'in all' if all_of_it else 'free'}")
+        figure = f"{_gigabytes(there)} {'in all' if all_of_it else 'free'}"
+        raise _out_of_memory(size, needed, device, figure, budget)
 
 
 @contextlib.contextmanager
@@ -180,15 +184,21 @@ def explained_memory_errors(
             raise
         check_device(device)
         needed = size.needed(layout, device) if budget is None else size.needed_paged(layout, device, budget)
-        raise _out_of_memory(size, needed, device, f"{_gigabytes(free_memory(device))} free") from error
+        figure = f"{_gigabytes(free_memory(device))} free"
+        raise _out_of_memory(size, needed, device, figure, budget) from error
 
 
-def _out_of_memory(size: GeometrySize, needed: int, device: wp.Device, there: str) -> OutOfMemoryError:
+def _out_of_memory(
+    size: GeometrySize, needed: int, device: wp.Device, there: str, budget: int | None
+) -> OutOfMemoryError:
     what, cure = f"{size.triangles:,} triangles", "triangles, instances in place of copies,"
     if size.instances > size.triangles:
         what, cure = f"{size.instances:,} instances", "instances"
+    trees = "with their trees"
+    if budget is not None:
+        trees, cure = f"with a geometry budget of {_gigabytes(budget)}", f"{cure.rstrip(',')}, a smaller budget"
     return OutOfMemoryError(
-        f"the scene's {what} need at least {_gigabytes(needed)} with their trees, and {device.alias} has {there}; "
+        f"the scene's {what} need at least {_gigabytes(needed)} {trees}, and {device.alias} has {there}; "
         f"use fewer {cure} or a device with more memory"
     )
 

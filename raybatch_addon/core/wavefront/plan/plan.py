@@ -143,7 +143,8 @@ def _plan_of_rays(
     if mode == "ON":
         return _batched(settings, layout, choices)
     costs = costs_of(is_cuda)
-    unbatched, batched = unbatched_cost(costs, tree), batching_cost(costs, tree, TREELET_BYTES[layout])
+    meshes = size.mesh_bytes_most(layout)
+    unbatched, batched = unbatched_cost(costs, meshes), batching_cost(costs, meshes, TREELET_BYTES[layout])
     choices["batching"] = Choice(
         "OFF" if unbatched <= batched else "ON",
         f"the scene needs up to {size_text(wanted)}, and {why}; inside memory a ray is expected to take "
