@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..device.bulk import add_rows, copy_rows
-from ..device.mapped import Room
+from ..host_memory import Room
 from .description import Mesh, Scene
 from .grouping.groups import Group, Member, baked_instances, groups_of
 from .motion import KEY_FLOATS, apart, deforming_meshes, motion_keys, moving_maps

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from raybatch_addon.core.device import mapped
+from raybatch_addon.core import host_memory
 from raybatch_addon.core.errors import OutOfMemoryError
 from raybatch_addon.core.scene.description import Scene
 from tests.renders.beyond_memory.least_budget import CHECKED, ESTIMATOR
@@ -38,7 +38,7 @@ def crowd() -> Scene:
 @pytest.mark.parametrize("store", ["HOST", "DISK"])
 @pytest.mark.parametrize("mapped_least", [1, 1 << 26])
 def test_no_schedule_changes_the_film(session, store, mapped_least, monkeypatch):
-    monkeypatch.setattr(mapped, "MAPPED_LEAST", mapped_least)
+    monkeypatch.setattr(host_memory, "MAPPED_LEAST", mapped_least)
     scene, rng = crowd(), np.random.default_rng(mapped_least)
     expected = session.render(scene, ESTIMATOR.replace(batching="OFF")).passes
     paged = ESTIMATOR.replace(**CHECKED, geometry_store=store)

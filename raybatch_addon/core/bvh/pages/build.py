@@ -14,8 +14,8 @@ import warp as wp
 
 from ...device.bulk import digest_of
 from ...device.devices import free_memory
-from ...device.mapped import Room, mapped_empty
 from ...errors import OutOfMemoryError, check_cancelled
+from ...host_memory import Room, mapped_empty
 from ...scene.flatten import FlatGeometry
 from ..build.mesh_tree import mesh_parts
 from ..node import Layout

@@ -11,7 +11,7 @@ import numpy as np
 import warp as wp
 
 from ...device.bulk import copy_rows
-from ...device.mapped import Room
+from ...host_memory import Room
 from ...scene.flatten import FlatGeometry
 from ...scene.geometry import host_array, mat34
 from ..build.encode import as_vectors

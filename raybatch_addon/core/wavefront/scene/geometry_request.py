@@ -13,7 +13,7 @@ import warp as wp
 from ...bvh.node import Layout
 from ...bvh.pages.peers.shared import PeerPages
 from ...device.bulk import digest_of
-from ...device.mapped import Room, mapped_empty
+from ...host_memory import Room, mapped_empty
 from ...scene.description import Scene
 from ...settings.settings import RenderSettings
 from ..plan.plan import Method, TracingPlan, cut_rule

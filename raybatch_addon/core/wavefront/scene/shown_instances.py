@@ -15,7 +15,7 @@ import warp as wp
 from ...bvh.build.mesh_tree import mesh_parts
 from ...bvh.build.scene_tree import BuiltTree
 from ...bvh.build.shown import follow_shown
-from ...device.mapped import Room
+from ...host_memory import Room
 from ...scene.description import Scene
 from ...scene.flatten import FlatGeometry, flatten
 from ...scene.frozen import is_frozen

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import warp as wp
 
+from raybatch_addon.core import host_memory
 from raybatch_addon.core.bvh.build.entries import entries_of
 from raybatch_addon.core.bvh.memory import ENTRY, GeometrySize
 from raybatch_addon.core.bvh.node import Layout
@@ -11,11 +12,10 @@ from raybatch_addon.core.bvh.pages import build as page_build
 from raybatch_addon.core.bvh.pages import resident
 from raybatch_addon.core.bvh.pages.build import build_paged_scene
 from raybatch_addon.core.bvh.tree import Tree
-from raybatch_addon.core.device import mapped
-from raybatch_addon.core.device.mapped import mapped_empty
+from raybatch_addon.core.host_memory import mapped_empty
 from raybatch_addon.core.scene.flatten import flatten
+from tests.core.bvh.pages.page_files import is_mapped
 from tests.support import paged_scenes
-from tests.support.mapped_arrays import is_mapped
 
 RECORDS = (
     "entry_node",
@@ -45,7 +45,7 @@ def test_they_are_those_of_the_device(made, store, tmp_path, monkeypatch):
         laid.append(mapped_empty(*asked, **options))
         return laid[-1]
 
-    monkeypatch.setattr(mapped, "MAPPED_LEAST", 1)
+    monkeypatch.setattr(host_memory, "MAPPED_LEAST", 1)
     monkeypatch.setattr(page_build, "mapped_empty", lay)
     scene = made()
     flat, visibility, budget = flatten(scene), scene.instances.visibility, 400_000

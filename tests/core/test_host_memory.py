@@ -7,14 +7,14 @@ import os
 import numpy as np
 import pytest
 
-from raybatch_addon.core.device import mapped
-from raybatch_addon.core.device.mapped import mapped_empty
+from raybatch_addon.core import host_memory
 from raybatch_addon.core.errors import OutOfMemoryError
-from tests.support.mapped_arrays import is_mapped
+from raybatch_addon.core.host_memory import mapped_empty
+from tests.core.bvh.pages.page_files import is_mapped
 
 
 def test_a_large_array_is_in_a_file_and_a_small_one_is_not(tmp_path, monkeypatch):
-    monkeypatch.setattr(mapped, "MAPPED_LEAST", 1000)
+    monkeypatch.setattr(host_memory, "MAPPED_LEAST", 1000)
     folder = tmp_path / "made" / "here"
     large, small = mapped_empty((100, 3), np.float32, folder), mapped_empty((83, 3), np.float32, folder)
     assert is_mapped(large) and not is_mapped(small)
@@ -36,12 +36,12 @@ def test_no_room_on_the_disk_is_said_before_anything_is_written(tmp_path, monkey
     def refuse(*_):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(mapped, "MAPPED_LEAST", 1000)
+    monkeypatch.setattr(host_memory, "MAPPED_LEAST", 1000)
     if reserves:
         monkeypatch.setattr(os, "posix_fallocate", refuse, raising=False)
     else:
         monkeypatch.delattr(os, "posix_fallocate", raising=False)
-        monkeypatch.setattr(mapped, "_WRITTEN", 4096)
+        monkeypatch.setattr(host_memory, "_WRITTEN", 4096)
         assert is_mapped(mapped_empty((10_000,), np.uint8, tmp_path))
         monkeypatch.setattr(os, "write", refuse)
     with pytest.raises(OutOfMemoryError, match=r"2\.00 GB of geometry cannot .* \(No space left .*free some space"):
