@@ -135,7 +135,7 @@ class Job:
                 **workers_summary(integrators, device_scene, self.hardware, self.path_bytes),
                 **batching_statistics(batching_totals(integrators), report_of({**self.plan.choices, **self.chosen})),
                 **rounds_summary(film, state, None if self.rendering is None else self.rendering.error_report()),
-                "triangles": sum(len(self.scene.meshes[i].triangles) for i in self.scene.instances.mesh),
+                "triangles": self.scene.triangles_placed,
                 "instances": len(self.scene.instances),
                 "lights": len(self.scene.lights),
                 "images": image_statistics(self.scene, device_scene.images if device_scene else None),

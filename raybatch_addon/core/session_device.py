@@ -73,6 +73,7 @@ class SessionDevice:
             size.needed(self.layout, self.device),
             free,
             free_memory(wp.get_device("cpu")),
+            beside=size.beside_budget(self.device),
             peers=1 if apart else len(sharing),
             apart=apart,
         )

@@ -56,7 +56,8 @@ def _estimate(context, settings: RenderSettings, statistics: dict[str, Any] | No
     path_count = settings.ray_count or schedule.get("ray_count") or workers * paths_a_worker(settings, workers, is_cuda)
     path_bytes = schedule.get("bytes_per_path") or bytes_per_path(_features(context))
     tree = statistics.get("tree") if statistics and schedule else None
-    size = geometry_size(context.scene, tree["triangles"] if tree else None)
+    instances = statistics["instances"] if statistics and schedule else 0
+    size = geometry_size(context.scene, tree["triangles"] if tree else None, instances)
     return estimate_memory(
         size,
         Layout.QUANTISED if is_cuda else Layout.BOXES,
@@ -81,19 +82,20 @@ def _features(context):
     )
 
 
-def geometry_size(scene: bpy.types.Scene, triangles: int | None) -> GeometrySize:
-    """What the scene's meshes hold before modifiers, each counted once; `triangles` as far as the last render knew
-    better.
+def geometry_size(scene: bpy.types.Scene, triangles: int | None, instances: int = 0) -> GeometrySize:
+    """What the scene's meshes hold before modifiers, each counted once; `triangles` and `instances` as far as the last
+    render knew better.
     """
     from ..core.bvh.memory import GeometrySize
 
-    meshes = {obj.data for obj in scene.objects if obj.type == "MESH" and not obj.hide_render}
+    placed = [obj.data for obj in scene.objects if obj.type == "MESH" and not obj.hide_render]
+    meshes, instances = set(placed), max(instances, len(placed))
     counts = [len(mesh.loops) - 2 * len(mesh.polygons) for mesh in meshes]
     counted, vertices = sum(counts), sum(len(mesh.vertices) for mesh in meshes)
     if triangles is None or triangles == counted:
-        return GeometrySize(counted, vertices, max([0, *counts]), smooth=True)
+        return GeometrySize(counted, vertices, max([0, *counts]), smooth=True, instances=instances)
     # a closed mesh has half as many vertices
-    return GeometrySize(triangles, triangles // 2 + 1, triangles, smooth=True)
+    return GeometrySize(triangles, triangles // 2 + 1, triangles, smooth=True, instances=instances)
 
 
 def _lines(estimate: MemoryEstimate) -> list[str]:

@@ -56,7 +56,7 @@ class FilmComparer:
         self.sums = _by_pixel(self.plain)
         frame = scene.frame
         x0, y0, x1, y1 = frame.region
-        triangles = sum(len(scene.meshes[i].triangles) for i in scene.instances.mesh)
+        triangles = scene.triangles_placed
         self.sizes = DrawnSizes(
             triangles,
             max(1, GeometrySize.of(scene).tree_bytes_most(session.layout)),

@@ -30,9 +30,3 @@ def assembled(
         world=World(SKY_RADIANCE),
         object_names=tuple(mesh.name for mesh in meshes),
     )
-
-
-def placed_triangles(scene: Scene) -> int:
-    """Triangles as they are placed: those of a mesh count once for each of its instances."""
-    sizes = np.array([len(mesh.triangles) for mesh in scene.meshes], np.int64)
-    return int((sizes * np.bincount(scene.instances.mesh, minlength=len(sizes))).sum())

@@ -25,7 +25,6 @@ from benchmarking.scenes import SceneRequest, geometry_scene
 from lib.command import UsageError, run_command
 from rendering.request import parse_settings
 
-from made_scenes.assembled import placed_triangles
 from made_scenes.forest import forest
 from made_scenes.island import island
 from raybatch_addon.core.host_memory import host_memory_peak
@@ -86,7 +85,7 @@ def main(arguments: list[str] | None = None) -> int:
             "instances": len(scene.instances),
             "meshes": len(scene.meshes),
             "triangles": sum(len(mesh.triangles) for mesh in scene.meshes),
-            "triangles_placed": placed_triangles(scene),
+            "triangles_placed": scene.triangles_placed,
             "file_bytes": options.out.stat().st_size,
             "seconds_made": round(made - start, 2),
             "seconds_written": round(time.perf_counter() - made, 2),

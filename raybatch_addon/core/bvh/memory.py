@@ -29,7 +29,10 @@ ROW = 12  # a triangle's indices, or a position
 NORMALS = 36  # of the corners of a triangle
 INSTANCE = 60  # its map, mesh, first slot and a material
 ENTRY = 84  # of the top level: a mesh tree's place, with the inverse map, and its number in a leaf
-ENTRY_HOST = 192  # both maps, float64, while trees are built
+ENTRY_HOST = 260  # what is known of an entry, its box and its binary tree, while the top level is built
+# Nodes of the top level for each entry: from above, and at least
+TOP_BYTES_MOST = {Layout.BOXES: 96, Layout.QUANTISED: 40}
+TOP_BYTES = {Layout.BOXES: 36, Layout.QUANTISED: 11}
 # Nodes and triangles, for each triangle: from above, so that a budget holds them; and with full groups and leaves
 TREE_BYTES_MOST = {Layout.BOXES: 90, Layout.QUANTISED: 64}
 TREE_BYTES = {Layout.BOXES: 45, Layout.QUANTISED: 55}
@@ -95,8 +98,16 @@ class GeometrySize:
         return COPY_BYTES[layout] * self.copies
 
     def tree_bytes_most(self, layout: Layout) -> int:
-        """Trees and triangles, with copies and nodes for ranges of time, from above [bytes]."""
+        """Trees and triangles, with copies, nodes for ranges of time, and the top level, from above [bytes]."""
+        return self.mesh_bytes_most(layout) + (ENTRY + TOP_BYTES_MOST[layout]) * self.entries
+
+    def mesh_bytes_most(self, layout: Layout) -> int:
+        """The same without the top level [bytes]."""
         return TREE_BYTES_MOST[layout] * self.triangles + (1 + NODES_OVER_TIME) * self.step_bytes(layout)
+
+    def tree_bytes(self, layout: Layout) -> int:
+        """Trees, triangles and the top level at least, without copies [bytes]."""
+        return TREE_BYTES[layout] * self.triangles + (ENTRY + TOP_BYTES[layout]) * self.entries
 
     def arrays(self) -> int:
         """Geometry and instances, without trees [bytes]."""
@@ -106,10 +117,19 @@ class GeometrySize:
     def needed(self, layout: Layout, device: wp.Device) -> int:
         """Geometry and trees on `device`, the build included [bytes]."""
         build = BYTES_EACH if device.is_cuda else BUILD_BYTES_HOST
+        trees = self.tree_bytes(layout) + self.step_bytes(layout)
+        # the top level is built when the trees of meshes are there
+        top = (BYTES_EACH if device.is_cuda else ENTRY_HOST) * self.entries
         # the CPU holds the geometry of the host and that of the device
-        entries = (ENTRY if device.is_cuda else ENTRY + ENTRY_HOST) * self.entries
-        trees = max(TREE_BYTES[layout] * self.triangles + self.step_bytes(layout), build * self.largest)
-        return self.arrays() * (1 if device.is_cuda else 2) + entries + trees
+        return self.arrays() * (1 if device.is_cuda else 2) + max(trees + top, build * self.largest)
+
+    def beside_budget(self, device: wp.Device) -> int:
+        """What the instances take on `device` beside `geometry_budget`, where trees lie behind it [bytes]."""
+        return INSTANCE * self.instances + (0 if device.is_cuda else ENTRY_HOST) * self.entries
+
+    def needed_paged(self, layout: Layout, device: wp.Device, budget: int) -> int:
+        """All that is on `device` where trees lie behind it, of which `budget` may be there [bytes]."""
+        return min(budget, self.tree_bytes(layout)) + self.beside_budget(device)
 
 
 def _vertices_of(mesh: Mesh) -> int:
@@ -133,18 +153,27 @@ def check_counts(size: GeometrySize, corners: bool = False) -> None:
             )
 
 
-def check_memory(size: GeometrySize, layout: Layout, device: wp.Device, all_of_it: bool) -> None:
-    """Raise `OutOfMemoryError` where `device` has not so much memory: free, or with `all_of_it` at all."""
-    needed = size.needed(layout, device)
+def check_memory(
+    size: GeometrySize, layout: Layout, device: wp.Device, all_of_it: bool, budget: int | None = None
+) -> None:
+    """Raise `OutOfMemoryError` where `device` has not so much memory: free, or with `all_of_it` at all. `budget`: of
+    trees on the device, where the rest of them lies behind it.
+    """
+    needed = size.needed(layout, device) if budget is None else size.needed_paged(layout, device, budget)
     there = (total_memory(device) or needed) if all_of_it else free_memory(device)
     if needed > there:
         check_device(device)
-        raise _out_of_memory(size, needed, device, f"{_gigabytes(there)} {'in all' if all_of_it else 'free'}")
+        figure = f"{_gigabytes(there)} {'in all' if all_of_it else 'free'}"
+        raise _out_of_memory(size, needed, device, figure, budget)
 
 
 @contextlib.contextmanager
-def explained_memory_errors(size: GeometrySize, layout: Layout, device: wp.Device) -> Iterator[None]:
-    """Inside, an allocation that fails, here or on `device`, becomes an `OutOfMemoryError` with the figures."""
+def explained_memory_errors(
+    size: GeometrySize, layout: Layout, device: wp.Device, budget: int | None = None
+) -> Iterator[None]:
+    """Inside, an allocation that fails, here or on `device`, becomes an `OutOfMemoryError` with the figures; `budget`
+    as for `check_memory`.
+    """
     try:
         yield
     except OutOfMemoryError:
@@ -154,17 +183,22 @@ def explained_memory_errors(size: GeometrySize, layout: Layout, device: wp.Devic
         if isinstance(error, RuntimeError) and not str(error).startswith("Failed to allocate"):
             raise
         check_device(device)
-        raise _out_of_memory(
-            size, size.needed(layout, device), device, f"{_gigabytes(free_memory(device))} free"
-        ) from error
+        needed = size.needed(layout, device) if budget is None else size.needed_paged(layout, device, budget)
+        figure = f"{_gigabytes(free_memory(device))} free"
+        raise _out_of_memory(size, needed, device, figure, budget) from error
 
 
-def _out_of_memory(size: GeometrySize, needed: int, device: wp.Device, there: str) -> OutOfMemoryError:
+def _out_of_memory(
+    size: GeometrySize, needed: int, device: wp.Device, there: str, budget: int | None
+) -> OutOfMemoryError:
     what, cure = f"{size.triangles:,} triangles", "triangles, instances in place of copies,"
     if size.instances > size.triangles:
         what, cure = f"{size.instances:,} instances", "instances"
+    trees = "with their trees"
+    if budget is not None:
+        trees, cure = f"with a geometry budget of {_gigabytes(budget)}", f"{cure.rstrip(',')}, a smaller budget"
     return OutOfMemoryError(
-        f"the scene's {what} need at least {_gigabytes(needed)} with their trees, and {device.alias} has {there}; "
+        f"the scene's {what} need at least {_gigabytes(needed)} {trees}, and {device.alias} has {there}; "
         f"use fewer {cure} or a device with more memory"
     )
 

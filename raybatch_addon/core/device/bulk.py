@@ -106,3 +106,14 @@ def column_bounds(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     in_slices(len(rows), look)
     return np.min(lows, 0), np.max(highs, 0)
+
+
+def kinds_of(numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where each number among `numbers`, integers [n], comes first, in the order in which they come: int64 [k], rising;
+    and which of these each of `numbers` is, int32 [n].
+    """
+    _, first, kind = np.unique(numbers, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    place = np.empty(len(order), np.int32)
+    place[order] = np.arange(len(order), dtype=np.int32)
+    return first[order], place[kind.reshape(-1)]

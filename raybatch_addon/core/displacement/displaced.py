@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from ..device.bulk import kinds_of
 from ..scene.description import Instances, Material, Mesh, Scene
 from ..scene.frozen import Same
 from ..scene.notice import Notice, Weight
@@ -57,9 +58,12 @@ class DisplacedMeshes:
             self.clear()
             return scene
         instances, meshes, warnings = scene.instances, list(scene.meshes), list(scene.warnings)
-        mesh_of, kept = np.array(instances.mesh, np.int32), []
+        # of all instances of a mesh with the same slots one is looked at
+        first, kind = kinds_of(instances.mesh.astype(np.int64) << 32 | instances.slot_first)
+        chosen, kept = np.array(instances.mesh[first], np.int32), []
         done: dict[tuple, int] = {}
-        for i, index in enumerate(instances.mesh.tolist()):
+        for place, i in enumerate(first.tolist()):
+            index = int(instances.mesh[i])
             mesh = scene.meshes[index]
             materials = _materials_of(scene, mesh, i)
             if (
@@ -75,9 +79,9 @@ class DisplacedMeshes:
                 warnings += found.warnings
                 done[key] = len(meshes)
                 meshes.append(found.mesh)
-            mesh_of[i] = done[key]
+            chosen[place] = done[key]
         self._kept = kept
-        meshes, mesh_of = _used(meshes, mesh_of)
+        meshes, mesh_of = _used(meshes, chosen[kind])
         return dataclasses.replace(
             scene,
             meshes=tuple(meshes),

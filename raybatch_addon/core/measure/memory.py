@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..bvh.memory import TREE_BYTES, GeometrySize
+from ..bvh.memory import GeometrySize
 from ..bvh.node import Layout
 from ..film.channels import layout_of
 from ..film.layout import channels_of
@@ -21,7 +21,7 @@ class MemoryEstimate:
     path_bytes: int  # of one path alive
     path_count: int  # paths alive
     geometry: int  # what shading reads: corners, positions, normals
-    tree: int  # nodes and triangles of all mesh trees
+    tree: int  # nodes and triangles of all mesh trees, and the top level
     resident: int  # of `tree`, what is on the device
 
     @property
@@ -46,9 +46,9 @@ def estimate_memory(
     """The estimate for geometry of this size, and `path_count` paths alive that take `path_bytes` each.
 
     `budget`: the setting `geometry_budget` [bytes]; 0: the tree is on the device whole. `tree_bytes`: what the tree
-    takes, where that is known; otherwise it is the least for so many triangles.
+    takes, where that is known; otherwise it is the least for so many triangles and entries.
     """
-    tree = TREE_BYTES[layout] * size.triangles if tree_bytes is None else tree_bytes
+    tree = size.tree_bytes(layout) if tree_bytes is None else tree_bytes
     return MemoryEstimate(path_bytes, path_count, size.arrays(), tree, min(tree, budget) if budget else tree)
 
 

@@ -5,6 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 import warp as wp
 
+from ..device.bulk import kinds_of
 from ..errors import SceneError
 from ..scene.description import CameraKind, Instances, Mesh, Panorama, Scene
 from ..scene.flatten import is_mirrored_where_baked
@@ -155,19 +156,12 @@ def upload_camera_inputs(scene: Scene, device: wp.Device) -> InputData:
 
 def _upload_attributes(scene: Scene, inputs: InputData, device: wp.Device) -> None:
     """Fill in the meshes' values of `Scene.attributes`, with triangle corners in the order of the geometry."""
-    rows: dict[tuple[int, bool], int] = {}
-    row_of = np.array(
-        [
-            rows.setdefault(key, len(rows))
-            for key in zip(scene.instances.mesh.tolist(), is_mirrored_where_baked(scene).tolist())
-        ],
-        np.int32,
-    )
+    rows, row_of = _kinds(scene)
     first = np.full((max(len(rows), 1), max(len(scene.attributes), 1)), -1, np.int32)
     layout = np.zeros_like(first)
     indices = {key: index for index, key in enumerate(scene.attributes)}
     chunks, count = [], 0
-    for (mesh, mirrored), row in rows.items():
+    for row, (mesh, mirrored) in enumerate(rows):
         for attribute in scene.meshes[mesh].attributes:
             index = indices.get((attribute.kind, attribute.name))
             if index is None:
@@ -208,20 +202,25 @@ def corner_values(scene: Scene, of_meshes: dict[int, np.ndarray], width: int) ->
 
     `of_meshes` holds values by index of the mesh, each of shape [triangle_count, 3, width].
     """
-    first = np.full(len(scene.instances), -1, np.int32)
+    kinds, kind = _kinds(scene)
     chunks: list[np.ndarray] = []
-    first_corners: dict[tuple[int, bool], int] = {}
-    count = 0
-    mirrored = is_mirrored_where_baked(scene)
-    for i, mesh_index in enumerate(scene.instances.mesh.tolist()):
-        values = of_meshes.get(mesh_index)
+    first, count = np.full(len(kinds), -1, np.int32), 0
+    for i, (mesh, mirrored) in enumerate(kinds):
+        values = of_meshes.get(mesh)
         if values is None:
             continue
-        key = (mesh_index, bool(mirrored[i]))
-        if key not in first_corners:
-            # corners in the order that the geometry has them
-            chunks.append((values[:, [0, 2, 1]] if key[1] else values).reshape(-1, width))
-            first_corners[key] = count
-            count += len(chunks[-1])
-        first[i] = first_corners[key]
-    return first, np.concatenate(chunks).astype(np.float32) if chunks else np.zeros((0, width), np.float32)
+        # corners in the order that the geometry has them
+        chunks.append((values[:, [0, 2, 1]] if mirrored else values).reshape(-1, width))
+        first[i] = count
+        count += len(chunks[-1])
+    values = np.concatenate(chunks).astype(np.float32) if chunks else np.zeros((0, width), np.float32)
+    return first[kind], values
+
+
+def _kinds(scene: Scene) -> tuple[list[tuple[int, bool]], np.ndarray]:
+    """The meshes that instances place, mirrored where they are baked or not, in the order in which they come first, and
+    which of these each instance is, int32.
+    """
+    mesh, mirrored = scene.instances.mesh, is_mirrored_where_baked(scene)
+    first, kind = kinds_of(2 * mesh + mirrored.astype(np.int32))
+    return list(zip(mesh[first].tolist(), mirrored[first].tolist(), strict=True)), kind

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..device.bulk import add_rows, copy_rows
+from ..host_memory import Room
 from .description import Mesh, Scene
 from .grouping.groups import Group, Member, baked_instances, groups_of
 from .motion import KEY_FLOATS, apart, deforming_meshes, motion_keys, moving_maps
@@ -70,9 +71,12 @@ class FlatGeometry:
 Bake = Callable[[Mesh, np.ndarray], "MeshChunk"]
 
 
-def flatten(scene: Scene, groups: Sequence[Group] | None = None, bake: Bake | None = None) -> FlatGeometry:
+def flatten(
+    scene: Scene, groups: Sequence[Group] | None = None, bake: Bake | None = None, room: Room = np.empty
+) -> FlatGeometry:
     """Arrays of all geometry that `scene` uses; its baked instances are in `groups` (default: `groups_of` it), and
-    `bake` (default: `baked_mesh`) brings them to their places.
+    `bake` (default: `baked_mesh`) brings them to their places. Arrays that grow with the triangles of several meshes
+    are those of `room`.
     """
     bake = bake or baked_mesh
     instances, baked = scene.instances, baked_instances(scene)
@@ -109,7 +113,7 @@ def flatten(scene: Scene, groups: Sequence[Group] | None = None, bake: Bake | No
     position[list(mesh_position)] = list(mesh_position.values())
     instance_mesh = position[instances.mesh]
     motion = _motion(scene, mesh_position) if apart(scene).any() else None
-    return _joined(chunks, instance_mesh, transform, tuple(merged), shared, motion)
+    return _joined(chunks, instance_mesh, transform, tuple(merged), shared, motion, room)
 
 
 def _motion(scene: Scene, mesh_position: dict[int, int]) -> FlatMotion:
@@ -204,25 +208,18 @@ def baked_mesh(mesh: Mesh, transform: np.ndarray) -> MeshChunk:
     return MeshChunk(positions, triangles, normals, mesh.triangle_slot)
 
 
-def _joined(chunks, instance_mesh, transform, merged, shared, motion) -> FlatGeometry:
+def _joined(chunks, instance_mesh, transform, merged, shared, motion, room) -> FlatGeometry:
     triangle_counts = [len(chunk.triangles) for chunk in chunks]
     vertex_first = np.concatenate([[0], np.cumsum([len(chunk.positions) for chunk in chunks])]).astype(np.int64)
-    triangles = _rows([chunk.triangles for chunk in chunks], np.int32, vertex_first)
+    triangles = _rows([chunk.triangles for chunk in chunks], np.int32, room, vertex_first)
     first = np.concatenate([[0], np.cumsum(triangle_counts)]).astype(np.int32)
-    smooth = any(chunk.corner_normals is not None for chunk in chunks)
-    slotted = any(chunk.triangle_slot is not None for chunk in chunks)
-    corner_normals = np.zeros((len(triangles) if smooth else 0, 3, 3), np.float32)
-    triangle_slot = np.zeros(len(triangles) if slotted else 0, np.int32)
-    for chunk, start, end in zip(chunks, first[:-1], first[1:]):
-        if chunk.corner_normals is not None:
-            copy_rows(chunk.corner_normals, corner_normals[start:end])  # of flat meshes they stay 0: shaded flat
-        if chunk.triangle_slot is not None:
-            copy_rows(chunk.triangle_slot, triangle_slot[start:end])
+    # of flat meshes normals are 0: shaded flat
+    corner_normals = _column([chunk.corner_normals for chunk in chunks], triangle_counts, (3, 3), np.float32, room)
     return FlatGeometry(
-        positions=_rows([chunk.positions for chunk in chunks], np.float32),
+        positions=_rows([chunk.positions for chunk in chunks], np.float32, room),
         triangles=triangles,
         corner_normals=corner_normals.reshape(-1, 3),
-        triangle_slot=triangle_slot,
+        triangle_slot=_column([chunk.triangle_slot for chunk in chunks], triangle_counts, (), np.int32, room),
         mesh_triangle_first=first,
         mesh_vertex_first=vertex_first,
         instance_mesh=instance_mesh,
@@ -234,12 +231,31 @@ def _joined(chunks, instance_mesh, transform, merged, shared, motion) -> FlatGeo
     )
 
 
-def _rows(parts: list[np.ndarray], dtype: type[np.generic], added: np.ndarray | None = None) -> np.ndarray:
+def _column(
+    parts: list[np.ndarray | None], counts: list[int], shape: tuple[int, ...], dtype: type[np.generic], room: Room
+) -> np.ndarray:
+    """Values of `shape` of all triangles, 0 where a part has none; no rows where all parts have none."""
+    if all(part is None for part in parts):
+        return np.zeros((0, *shape), dtype)
+    if len(parts) == 1:
+        return np.ascontiguousarray(parts[0], dtype)
+    rows, start = room((sum(counts), *shape), dtype), 0
+    for part, count in zip(parts, counts, strict=True):
+        out = rows[start : start + count]
+        if part is None:
+            out.fill(0)
+        else:
+            copy_rows(part, out)
+        start += count
+    return rows
+
+
+def _rows(parts: list[np.ndarray], dtype: type[np.generic], room: Room, added: np.ndarray | None = None) -> np.ndarray:
     """All rows of `parts`, contiguous, those of each with its number of `added`; of a single one they are itself."""
     if len(parts) == 1:
         return np.ascontiguousarray(parts[0], dtype).reshape(-1, 3)
     first = np.cumsum([0, *(len(part) for part in parts)])
-    rows = np.empty((first[-1], 3), dtype)
+    rows = room((int(first[-1]), 3), dtype)
     for i, part in enumerate(parts):
         out = rows[first[i] : first[i + 1]]
         if added is None:

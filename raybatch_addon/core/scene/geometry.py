@@ -88,11 +88,14 @@ def triangle_vertices(geometry: Geometry, instance: int, primitive: int) -> tupl
     return a, b, c
 
 
-def upload_geometry(flat: FlatGeometry, scene: Scene, device: wp.Device, on_host: bool = False) -> Geometry:
+def upload_geometry(
+    flat: FlatGeometry, scene: Scene, device: wp.Device, on_host: bool = False, in_place: bool = False
+) -> Geometry:
     """`flat`, the geometry of `scene`, on `device`.
 
     With `on_host` arrays that grow with the triangles stay in host memory, pinned for a CUDA device, which reads them
     through the bus. There the corners of a triangle lie together, so that it takes two reads instead of five.
+    With `in_place` a CPU reads arrays where they lie: then nobody may change them as long as the result lives.
     """
     geometry = Geometry()
     geometry.instancing = int(needs_instancing(scene))
@@ -103,7 +106,13 @@ def upload_geometry(flat: FlatGeometry, scene: Scene, device: wp.Device, on_host
     per_mesh = [("mesh_triangle_first", flat.mesh_triangle_first, int), ("instance_mesh", flat.instance_mesh, int)]
     for name, values, dtype in triangles + per_mesh + _what_moves(flat, scene):
         stays = on_host and device.is_cuda and name in _BY_TRIANGLE
-        setattr(geometry, name, host_array(values, dtype, device) if stays else uploaded(values, dtype, device))
+        if stays:
+            array = host_array(values, dtype, device)
+        elif in_place and device.is_cpu:
+            array = wp.array(np.ascontiguousarray(values), dtype=dtype, device=device, copy=False)
+        else:
+            array = uploaded(values, dtype, device)
+        setattr(geometry, name, array)
     if on_host:
         geometry.positions = _corners(positions, flat.triangles, device)
     return geometry

@@ -333,3 +333,16 @@ def test_the_build_itself_refuses_what_is_not_free(device, monkeypatch):
                 False,
                 on_device,
             )
+
+
+def test_instances_need_memory_beside_a_budget(device, monkeypatch):
+    """Where geometry is in pages the message counts them, and names the budget."""
+    size = GeometrySize(1000, 600, 1000, False, instances=10_000_000, entries=10_000_000)
+    on, budget = wp.get_device(device), 10**8
+    needed = size.needed_paged(Layout.BOXES, on, budget)
+    assert needed >= budget + 60 * size.instances
+    monkeypatch.setattr(memory, "free_memory", lambda _: needed - 1)
+    with pytest.raises(OutOfMemoryError, match=r"10,000,000 instances .* with a geometry budget of 0\.10 GB, and .*"):
+        check_memory(size, Layout.BOXES, on, all_of_it=False, budget=budget)
+    monkeypatch.setattr(memory, "free_memory", lambda _: needed)
+    check_memory(size, Layout.BOXES, on, all_of_it=False, budget=budget)

@@ -5,7 +5,15 @@ import pytest
 import warp as wp
 
 from raybatch_addon.core.device import bulk
-from raybatch_addon.core.device.bulk import add_rows, column_bounds, copy_rows, digest_of, in_slices, take_rows
+from raybatch_addon.core.device.bulk import (
+    add_rows,
+    column_bounds,
+    copy_rows,
+    digest_of,
+    in_slices,
+    kinds_of,
+    take_rows,
+)
 from raybatch_addon.core.device.locked import OWN_PAGES_LEAST, locked_empty, locked_view
 from tests.support.under_test import DEVICE
 
@@ -100,3 +108,14 @@ def test_arrays_of_the_host_are_read_by_the_device_where_they_lie():
         wp.copy(copied, second)
         assert np.array_equal(copied.numpy(), values)
         del second
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_kinds_come_in_the_order_in_which_they_are_met(seed):
+    rng = np.random.default_rng(seed)
+    numbers = rng.integers(-5, rng.integers(-4, 30), int(rng.integers(0, 60)))
+    rows: dict[int, int] = {}
+    expected = [rows.setdefault(each, len(rows)) for each in numbers.tolist()]
+    first, kind = kinds_of(numbers)
+    assert kind.tolist() == expected and kind.dtype == np.int32
+    assert numbers[first].tolist() == list(rows)

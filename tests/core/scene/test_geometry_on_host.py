@@ -31,7 +31,7 @@ def test_corners_instead_of_indices_change_no_film(session, monkeypatch, made):
         still.append(flat)
         return with_motion(flat)
 
-    def upload_corners(flat, scene, device, on_host=False):
+    def upload_corners(flat, scene, device, on_host=False, in_place=False):
         behind = with_motion(still[-1], corners=True)
         geometry = upload(behind, scene, device, on_host=True)
         seen.append((geometry.triangles.size, geometry.positions.size - 3 * len(behind.triangles)))

@@ -7,7 +7,6 @@ import sys
 
 import numpy as np
 import pytest
-from made_scenes.assembled import placed_triangles
 from made_scenes.forest import TWIGS, forest
 from made_scenes.island import SIZE, island
 from made_scenes.noise import fractal_noise
@@ -36,7 +35,7 @@ def test_a_seed_makes_one_scene_that_is_valid(kind):
     assert 0.95 * 3000 <= len(made.instances) <= 3001
     assert np.bincount(made.instances.mesh, minlength=len(made.meshes)).min() > 0
     sizes = [len(mesh.triangles) for mesh in made.meshes]
-    assert placed_triangles(made) == sum(sizes[i] for i in made.instances.mesh.tolist())
+    assert made.triangles_placed == sum(sizes[i] for i in made.instances.mesh.tolist())
 
 
 @pytest.mark.parametrize("kind", MADE)
@@ -113,7 +112,7 @@ def test_the_command_writes_a_scene_that_can_be_read(tmp_path):
     report = json.loads(done.stdout)
     scene, _ = load_scene(out)
     assert report["instances"] == len(scene.instances) == 1 + 3 * TWIGS and scene.frame.width == 40
-    assert report["triangles_placed"] == placed_triangles(scene) > report["triangles"]
+    assert report["triangles_placed"] == scene.triangles_placed > report["triangles"]
 
     np.savez(tmp_path / "mesh.npz", v=np.eye(3, dtype=np.float32), f=np.array([[0, 1, 2]], np.int32))
     out = tmp_path / "grid.scene.npz"

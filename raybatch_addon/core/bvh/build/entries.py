@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from ...device.bulk import in_slices
 from ...scene.flatten import FlatGeometry
@@ -17,16 +18,24 @@ class Entries:
     [n].
     """
 
-    mesh: np.ndarray  # index in `mesh_parts`, int64
-    instance: np.ndarray  # instance id, or -1 for a group
-    visibility: np.ndarray
-    to_world: np.ndarray  # float64, shape [n, 3, 4]
-    from_world: np.ndarray  # its inverse
-    merged_first: np.ndarray  # first of an entry's baked instances in the next two, shape [n + 1]
-    merged_instance: np.ndarray
-    merged_triangle_first: np.ndarray
-    motion: np.ndarray | None = None  # row of the entry's keys, or -1
+    mesh: np.ndarray  # index in `mesh_parts`, int32
+    instance: np.ndarray  # instance id, or -1 for a group, int32
+    visibility: np.ndarray  # int32
+    transform: np.ndarray  # to the world, of all instances: `FlatGeometry.instance_transform`, not by entry
+    from_world: np.ndarray  # the inverse of the entry's map, rounded from float64: float32, shape [n, 3, 4]
+    condition: np.ndarray  # the product of the sizes of the two maps (`map_condition`), float64
+    merged_first: np.ndarray  # first of an entry's baked instances in the next two, int32, shape [n + 1]
+    merged_instance: np.ndarray  # int32
+    merged_triangle_first: np.ndarray  # int32
+    motion: np.ndarray | None = None  # row of the entry's keys, or -1: int32
     keys: np.ndarray | None = None  # `FlatMotion.keys`, float32, shape [rows, steps, KEY_FLOATS]
+
+    def __len__(self) -> int:
+        return len(self.mesh)
+
+    def to_world(self, which: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Maps to the world of the entries `which` (all): float64, shape [n, 3, 4]."""
+        return _maps_of(self.transform, self.instance[which])
 
     def boxes(
         self, mesh_boxes: np.ndarray, first: float = 0.0, last: float = 1.0, which: np.ndarray | slice = slice(None)
@@ -34,14 +43,14 @@ class Entries:
         """World boxes of the entries `which` (all) from one time to another, float64, shape [n, 2, 3], from those of
         the mesh trees, shape [m, 2, 3] (Arvo 1990).
         """
-        each, mesh, maps = mesh_boxes.astype(np.float64), self.mesh[which], self.to_world[which]
+        each, mesh, instance = mesh_boxes.astype(np.float64), self.mesh[which], self.instance[which]
         found = np.empty((len(mesh), 2, 3))
 
         def move(part: slice) -> None:
-            found[part] = _moved_boxes(maps[part], each[mesh[part]])
+            found[part] = _moved_boxes(_maps_of(self.transform, instance[part]), each[mesh[part]])
 
         in_slices(len(mesh), move, _IN_A_THREAD)
-        row = np.full(len(mesh), -1) if self.motion is None else self.motion[which]
+        row = np.full(len(mesh), -1, np.int32) if self.motion is None else self.motion[which]
         moving = np.flatnonzero(row >= 0)
         for begin in range(0, len(moving), _AT_ONCE):
             some = moving[begin : begin + _AT_ONCE]
@@ -50,13 +59,18 @@ class Entries:
 
     def moving(self) -> np.ndarray:
         """Whether each entry moves as a whole: bool, shape [n]."""
-        return np.zeros(len(self.to_world), bool) if self.motion is None else self.motion >= 0
+        return np.zeros(len(self), bool) if self.motion is None else self.motion >= 0
 
     def conditions(self) -> tuple[np.ndarray, np.ndarray]:
         """By entry, as large as they become: the product of the sizes of its map and the inverse, and the largest
         coordinate of its origin.
         """
-        size, reach = _condition(self.to_world, self.from_world), np.abs(self.to_world[:, :, 3]).max(1)
+        size, reach = self.condition.copy(), np.empty(len(self))
+
+        def measure(part: slice) -> None:
+            reach[part] = np.abs(self.to_world(part)[:, :, 3]).max(1)
+
+        in_slices(len(self), measure, _IN_A_THREAD)
         moving = np.flatnonzero(self.moving())
         for first in range(0, len(moving), _AT_ONCE):
             some = moving[first : first + _AT_ONCE]
@@ -65,7 +79,7 @@ class Entries:
             usable = np.abs(np.linalg.det(maps[..., :3])) > 0
             maps[~usable] = np.eye(3, 4)  # where there is no inverse nothing is hit
             flat = maps.reshape(-1, 3, 4)
-            sizes = _condition(flat, inverse_transforms(flat)).reshape(maps.shape[:2])
+            sizes = map_condition(flat, inverse_transforms(flat)).reshape(maps.shape[:2])
             size[some] = np.maximum(size[some], _BETWEEN_KNOTS * sizes.max(1))
             reach[some] = np.maximum(reach[some], np.abs(keys[..., 4:7]).max((1, 2)))
         return size, reach
@@ -100,52 +114,78 @@ def boxes_over_time(keys: np.ndarray, box: np.ndarray, first: float = 0.0, last:
     return np.stack([there[:, :, 0].min(1) - off, there[:, :, 1].max(1) + off], 1)
 
 
-def _condition(to_world: np.ndarray, from_world: np.ndarray) -> np.ndarray:
+def _maps_of(transform: np.ndarray, instance: np.ndarray) -> np.ndarray:
+    """Maps of entries of these instances, -1 for what is in the world already: float64, shape [n, 3, 4]."""
+    maps = transform[np.maximum(instance, 0)].astype(np.float64) if len(transform) else np.empty((len(instance), 3, 4))
+    maps[instance < 0] = np.eye(3, 4)
+    return maps
+
+
+def map_condition(to_world: np.ndarray, from_world: np.ndarray) -> np.ndarray:
     """The product of the largest sums of a row's sizes of maps [n, 3, 4] and of their inverses: shape [n]."""
-    found = np.empty(len(to_world))
+    there, back = (np.abs(maps[:, :, :3]).sum(2).max(1) for maps in (to_world, from_world))
+    return there * back
 
-    def measure(part: slice) -> None:
-        there, back = (np.abs(maps[part, :, :3]).sum(2).max(1) for maps in (to_world, from_world))
-        found[part] = there * back
 
-    in_slices(len(to_world), measure, _IN_A_THREAD)
-    return found
+def placed_meshes(flat: FlatGeometry, visibility: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of each entry of `flat`: the index in `mesh_parts`, the instance (-1: a group), and its visibility, int32 [n]."""
+    groups, shared = flat.merged, flat.shared
+    mesh = flat.instance_mesh[shared]
+    mesh = (np.cumsum(np.bincount(mesh) > 0, dtype=np.int32) - 1)[mesh]  # numbers without gaps
+    return (
+        int32_joined(np.arange(len(groups)), np.int32(len(groups)) + mesh),
+        int32_joined(np.full(len(groups), -1), shared),
+        int32_joined([group.visibility for group in groups], visibility[shared]),
+    )
 
 
 def entries_of(flat: FlatGeometry, visibility: np.ndarray) -> Entries:
     """The entries of `flat`; `visibility` holds the bits of each instance, int, shape [instance_count]."""
-    groups, shared = flat.merged, flat.shared
-    mesh = flat.instance_mesh[shared]
-    mesh = (np.cumsum(np.bincount(mesh) > 0) - 1)[mesh]  # numbers without gaps
-    to_world = np.concatenate(
-        [np.broadcast_to(np.eye(3, 4), (len(groups), 3, 4)), flat.instance_transform[shared].astype(np.float64)]
+    mesh, instance, seen = placed_meshes(flat, visibility)
+    merged = np.cumsum([0, *(len(group.instance) for group in flat.merged)])
+    return entries_at(
+        flat,
+        mesh=mesh,
+        instance=instance,
+        visibility=seen,
+        merged_first=int32_joined(merged, np.full(len(flat.shared), merged[-1], np.int32)),
+        merged_instance=int32_joined(*(group.instance for group in flat.merged)),
+        merged_triangle_first=int32_joined(*(group.instance_triangle_first for group in flat.merged)),
     )
-    merged_end = np.cumsum([len(group.instance) for group in groups], dtype=np.int64)
-    none = np.zeros(0, np.int32)
+
+
+def entries_at(flat: FlatGeometry, *, mesh: np.ndarray, instance: np.ndarray, **columns: np.ndarray) -> Entries:
+    """Entries over `mesh` where `instance` of `flat` has them; the other columns are given."""
+    from_world, condition = np.empty((len(instance), 3, 4), np.float32), np.empty(len(instance))
+
+    def invert(part: slice) -> None:
+        maps = _maps_of(flat.instance_transform, instance[part])
+        inverse = inverse_transforms(maps)
+        from_world[part], condition[part] = inverse, map_condition(maps, inverse)
+
+    in_slices(len(instance), invert, _IN_A_THREAD)
     motion = flat.motion
-    rows = motion.row[shared] if motion else np.full(len(shared), -1)
     return Entries(
-        mesh=np.concatenate([np.arange(len(groups)), len(groups) + mesh]),
-        instance=np.concatenate([np.full(len(groups), -1), shared]),
-        visibility=np.concatenate([[group.visibility for group in groups], visibility[shared]]),
-        to_world=to_world,
-        from_world=inverse_transforms(to_world),
-        merged_first=np.concatenate([[0], merged_end, np.full(len(shared), merged_end[-1] if groups else 0)]),
-        merged_instance=np.concatenate([none, *(group.instance for group in groups)]),
-        merged_triangle_first=np.concatenate([none, *(group.instance_triangle_first for group in groups)]),
-        motion=np.concatenate([np.full(len(groups), -1), rows]).astype(np.int32),
+        mesh=mesh,
+        instance=instance,
+        transform=flat.instance_transform,
+        from_world=from_world,
+        condition=condition,
+        motion=np.where(instance < 0, np.int32(-1), motion.row[np.maximum(instance, 0)]) if motion else None,
         keys=motion.keys if motion else np.zeros((0, 2, KEY_FLOATS), np.float32),
+        **columns,
     )
+
+
+def int32_joined(*parts: npt.ArrayLike) -> np.ndarray:
+    """The numbers of all `parts`, one behind another, int32."""
+    return np.concatenate([np.zeros(0, np.int32), *(np.asarray(part, np.int32) for part in parts)])
 
 
 def inverse_transforms(matrices: np.ndarray) -> np.ndarray:
     """Inverses of affine maps, float64, shape [n, 3, 4]."""
     found = np.empty(matrices.shape)
-
-    def invert(part: slice) -> None:
-        inverse = np.linalg.inv(matrices[part, :, :3])
-        found[part, :, :3] = inverse
-        found[part, :, 3:] = -inverse @ matrices[part, :, 3:]
-
-    in_slices(len(matrices), invert, _IN_A_THREAD)
+    inverse = np.linalg.inv(matrices[:, :, :3])
+    found[:, :, :3] = inverse
+    found[:, :, 3:] = -inverse @ matrices[:, :, 3:]
     return found

@@ -200,13 +200,14 @@ def assemble(
     count = _range_count(built, trees, times, device) if flat.motion and built.instancing else 1
     fresh = _keep_ranges(built, trees, times, count) or fresh
     mesh_ranges = np.array([mesh.ranges.count if mesh.ranges else 1 for mesh in meshes])
-    listed = Listed.of(entries.mesh, mesh_ranges, count)
-    source = listed.source if mesh_ranges.max(initial=1) > 1 else slice(None)
+    # each entry once, but where meshes have ranges of time
+    listed = Listed.of(entries.mesh, mesh_ranges, count) if mesh_ranges.max(initial=1) > 1 else None
+    source = listed.source if listed else slice(None)
     built.entry_mesh = mesh_of = entries.mesh[source]
     top = None
     if built.instancing:
         boxes = [times.boxes(k, count) for k in range(count)]
-        top = build_top_level(entries, boxes, built.layout, device, listed.of_range if count > 1 else None)
+        top = build_top_level(entries, boxes, built.layout, device, listed.of_range if listed else None)
     top_size = top.nodes.size if top else 0
     vectors_per_node, vectors_per_block = built.layout.node_words // 4, built.layout.triangle_words // 4
     if fresh or top_size > built.top_room:
@@ -226,7 +227,7 @@ def assemble(
             mesh.triangles = part
     else:
         tree.triangles = built.tree.triangles
-    entry_node, entry_centre, top_first = _nodes_of_entries(meshes, mesh_of, listed.range)
+    entry_node, entry_centre, top_first = _nodes_of_entries(meshes, mesh_of, listed)
     triangle_first = np.cumsum([0, *(mesh.triangles.size for mesh in meshes)])
 
     def upload(name: str, values: np.ndarray, dtype: type = int) -> None:
@@ -240,8 +241,8 @@ def assemble(
     upload("entry_instance", entries.instance[source])
     upload("entry_visibility", entries.visibility[source])
     # further ones are no groups: what deforms is not baked
-    further = np.full(len(mesh_of) - len(entries.mesh), entries.merged_first[-1])
-    upload("merged_first", np.concatenate([entries.merged_first, further]))
+    further = len(mesh_of) - len(entries)
+    upload("merged_first", np.pad(entries.merged_first, (0, further), mode="edge") if further else entries.merged_first)
     upload("merged_instance", entries.merged_instance)
     upload("merged_triangle_first", entries.merged_triangle_first)
     if flat.motion:
@@ -293,15 +294,15 @@ def _keep_ranges(built: BuiltTree, trees: MeshTrees, times: OverTime, count: int
 
 
 def _nodes_of_entries(
-    meshes: Sequence[MeshTree], mesh_of: np.ndarray, range_of: np.ndarray
+    meshes: Sequence[MeshTree], mesh_of: np.ndarray, listed: Listed | None
 ) -> tuple[np.ndarray, np.ndarray, int]:
     """The first vector of the nodes of each entry, the centre of its boxes, and the first vector behind all these."""
     first = np.cumsum([0, *(mesh.nodes.size for mesh in meshes)])
     centre = np.array([mesh.centre for mesh in meshes])
     entry_first, entry_centre, end = first[mesh_of], centre[mesh_of], int(first[-1])
     for i, mesh in enumerate(meshes):
-        if mesh.ranges:
-            those = mesh_of == i
+        if mesh.ranges and listed:
+            those, range_of = mesh_of == i, listed.range
             entry_first[those] = end + range_of[those] * mesh.nodes.size
             entry_centre[those] = mesh.ranges.centre[range_of[those]]
             end += mesh.ranges.nodes.size

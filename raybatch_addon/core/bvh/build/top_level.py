@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import warp as wp
 
+from ...device.bulk import in_slices
 from ..margin import SLAB_MARGIN
 from ..node import BOXES_NODE, QUANTISED_NODE, Layout, half_areas
 from ..tree import Tree
@@ -21,6 +22,8 @@ from .entries import Entries
 from .mesh_ranges import MeshRanges
 from .time_ranges import RANGE_GAIN_LEAST, RANGES_MOST, best_count, bounds
 
+# Entries whose boxes a thread works on together
+_IN_A_THREAD = 1 << 16
 # Of the entries that change at most so many say how many ranges are worth it
 _LOOKED_AT = 1024
 # What an entry takes in a top level, about: 20,000 took 58 bytes each in the layout BOXES
@@ -186,11 +189,18 @@ def _tree_over(
     boxes: np.ndarray, condition: np.ndarray, origins: np.ndarray, layout: Layout, device: wp.Device
 ) -> tuple[wp.array, wp.array, np.ndarray]:
     """Nodes, order and centre of one tree."""
+    low, high = np.empty((len(boxes), 3), np.float32), np.empty((len(boxes), 3), np.float32)
     # no coordinate of the top level's centre is larger than all boxes
-    reach = np.maximum(np.abs(boxes).max((1, 2)), origins) + np.abs(boxes).max()
-    margin = (2 * SLAB_MARGIN * condition * reach)[:, None]
-    low = np.nextafter((boxes[:, 0] - margin).astype(np.float32), np.float32(-np.inf))
-    high = np.nextafter((boxes[:, 1] + margin).astype(np.float32), np.float32(np.inf))
+    most = max(abs(boxes.min()), abs(boxes.max()))
+
+    def widen(part: slice) -> None:
+        some = boxes[part]
+        reach = np.maximum(np.abs(some).max((1, 2)), origins[part]) + most
+        margin = (2 * SLAB_MARGIN * condition[part] * reach)[:, None]
+        low[part] = np.nextafter((some[:, 0] - margin).astype(np.float32), np.float32(-np.inf))
+        high[part] = np.nextafter((some[:, 1] + margin).astype(np.float32), np.float32(np.inf))
+
+    in_slices(len(boxes), widen, _IN_A_THREAD)
     if device.is_cuda:
         top = build_top(wp.array(low, dtype=wp.vec3, device=device), wp.array(high, dtype=wp.vec3, device=device))
         return top.nodes, top.order, top.centre

@@ -15,6 +15,7 @@ import warp as wp
 from ...device.bulk import digest_of
 from ...device.devices import free_memory
 from ...errors import OutOfMemoryError, check_cancelled
+from ...host_memory import Room, mapped_empty
 from ...scene.flatten import FlatGeometry
 from ..build.mesh_tree import mesh_parts
 from ..node import Layout
@@ -31,7 +32,7 @@ from .paged_scene import PagedScene
 from .peers.share import ShareTooLargeError
 from .peers.shared import PeerPages
 from .peers.store import BuiltPages, PeerPlace, PeerStore
-from .resident import load_nodes, place_resident
+from .resident import Limits, load_nodes, place_resident
 from .store import PAGE_ALIGNMENT, HostStore, Page, PageStore
 from .tables import PageBuilder, PageTables, page_statistics
 
@@ -158,7 +159,7 @@ def build_paged_scene(
 
     def needed(page_bytes: int) -> int:
         tables, _ = build(builder_of(page_bytes), page_bytes, NoStore())
-        resident = place_resident(tables, flat, visibility, layout, device)
+        resident = place_resident(tables, flat, visibility, layout, device, Limits(most=0))
         return tables.needed_bytes(resident.bytes, bool(nodes_resident), staged)
 
     def too_small() -> OutOfMemoryError:
@@ -166,9 +167,9 @@ def build_paged_scene(
             return ShareTooLargeError("the shares of pages leave no room for what is brought in")
         enough = least_budget(budget, len(flat.triangles), bound, needed)
         return OutOfMemoryError(
-            f"a geometry budget of {budget:,} bytes is too small for {len(flat.triangles):,} triangles: top level, "
-            "instances and the roots of "
-            f"treelets must stay on the device, beside a page; {enough:,} bytes are enough"
+            f"a geometry budget of {budget:,} bytes is too small for {len(flat.triangles):,} triangles and "
+            f"{len(flat.instance_mesh):,} instances: the top level and the roots of treelets must stay on the device, "
+            f"beside a page; {enough:,} bytes are enough"
         )
 
     if bound(page_bytes) > budget - share:
@@ -211,6 +212,7 @@ def build_paged_scene(
         store=pages,
         nodes_resident=nodes_resident,
         record=record,
+        behind=functools.partial(mapped_empty, folder=Path(folder)) if store == "DISK" else np.empty,
     )
     if made is None:
         if isinstance(pages, PeerPlace) and share:
@@ -315,6 +317,7 @@ def _assembled(
     store: PageStore,
     nodes_resident: bool | None,
     record: _BuildRecord,
+    behind: Room,
 ) -> PagedScene | None:
     """The scene: what stays on the device, and its tables; all of it is within the budget, and a page too. None where
     that cannot be.
@@ -324,9 +327,9 @@ def _assembled(
     peer = store if isinstance(store, PeerPlace) else None
     held = peer.held if peer else 0
     budget -= held
-    resident = place_resident(tables, flat, visibility, layout, device, int(_RANGES_SHARE * budget))
-    if tables.needed_bytes(resident.bytes, bool(nodes_resident), staged) > budget:
-        resident = place_resident(tables, flat, visibility, layout, device)
+    most = budget - tables.needed_bytes(0, bool(nodes_resident), staged)
+    limits = Limits(most, int(_RANGES_SHARE * budget), behind)
+    resident = place_resident(tables, flat, visibility, layout, device, limits)
     node_bytes = int(tables.page_bytes[:, 0].sum())
     if nodes_resident is None:
         # room for more than one page without nodes
@@ -377,6 +380,7 @@ def _assembled(
             "seconds": seconds,
             **(peer.statistics() if peer else {}),
             **page_statistics(tables, layout, resident.tree, resident.levels, nodes_resident),
+            **({"records_behind": resident.bytes_behind} if resident.bytes_behind else {}),
         },
     )
 

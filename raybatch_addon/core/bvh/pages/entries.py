@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...scene.flatten import FlatGeometry, Merged
-from ..build.entries import Entries, entries_of
+from ..build.entries import Entries, entries_at, int32_joined, placed_meshes
 
 
 @dataclass(frozen=True)
@@ -39,32 +39,28 @@ def chunk_entries(
         chunk_first: first chunk of each of `mesh_parts`, then their count, int64.
         baked: of all chunks.
     """
-    whole = entries_of(flat, visibility)
-    count = np.diff(chunk_first)[whole.mesh]
-    source = np.repeat(np.arange(len(whole.mesh)), count)
-    chunk = np.arange(len(source)) - np.repeat(np.cumsum(count) - count - chunk_first[whole.mesh], count)
-    instance = whole.instance[source]
-    held, held_instance, held_first = np.zeros(len(source), np.int64), [], []
+    mesh, instance, seen = placed_meshes(flat, visibility)
+    count = np.diff(chunk_first)[mesh]
+    source = np.repeat(np.arange(len(mesh), dtype=np.int32), count)
+    chunk = np.arange(len(source)) - np.repeat(np.cumsum(count) - count - chunk_first[mesh], count)
+    instance = instance[source]
+    held, held_instance, held_first = np.zeros(len(source) + 1, np.int32), [], []
     # groups are the first entries, and in their order the first parts
-    for e in range(int(np.count_nonzero(whole.instance[source] < 0))):
+    for e in range(int(np.count_nonzero(instance < 0))):
         group = flat.merged[source[e]]
         indices = baked.place[baked.first[chunk[e]] : baked.first[chunk[e] + 1]]
         if len(indices) == 1 and group.instance_triangle_first[indices[0]] == 0:
             instance[e] = group.instance[indices[0]]  # its triangles have the same numbers
             continue
-        held[e] = len(indices)
+        held[e + 1] = len(indices)
         held_instance.append(group.instance[indices])
         held_first.append(group.instance_triangle_first[indices])
-    none = np.zeros(0, np.int32)
-    return Entries(
-        mesh=chunk,
+    return entries_at(
+        flat,
+        mesh=chunk.astype(np.int32),
         instance=instance,
-        visibility=whole.visibility[source],
-        to_world=whole.to_world[source],
-        from_world=whole.from_world[source],
-        merged_first=np.concatenate([[0], np.cumsum(held)]),
-        merged_instance=np.concatenate([none, *held_instance]),
-        merged_triangle_first=np.concatenate([none, *held_first]),
-        motion=whole.motion[source],
-        keys=whole.keys,
+        visibility=seen[source],
+        merged_first=np.cumsum(held, dtype=np.int32),
+        merged_instance=int32_joined(*held_instance),
+        merged_triangle_first=int32_joined(*held_first),
     )

@@ -24,6 +24,8 @@ from .cost_model import batching_cost, costs_of, split_seconds, unbatched_cost
 # the tree gets the second, and rays the rest
 WHOLE_SHARE = 0.85
 PAGED_SHARE = 0.5
+# What instances take is said where it is no less than this share of what they leave
+_BESIDE_LEAST = 0.01
 # Share of the host's free memory that pages may take
 HOST_SHARE = 0.7
 # The queues of a GPU are swept bucket by bucket; a treelet of a CPU should fit its core's cache
@@ -79,6 +81,7 @@ class Memory:
     needed: int  # geometry, trees and their build, on the device
     free: int  # of the device
     host_free: int
+    beside: int = 0  # what instances take of the device's where trees lie behind it
     peers: int = 1  # devices that render, where they can hold pages for each other
     apart: str = "one device renders"  # else why they cannot
 
@@ -140,7 +143,8 @@ def _plan_of_rays(
     if mode == "ON":
         return _batched(settings, layout, choices)
     costs = costs_of(is_cuda)
-    unbatched, batched = unbatched_cost(costs, tree), batching_cost(costs, tree, TREELET_BYTES[layout])
+    meshes = size.mesh_bytes_most(layout)
+    unbatched, batched = unbatched_cost(costs, meshes), batching_cost(costs, meshes, TREELET_BYTES[layout])
     choices["batching"] = Choice(
         "OFF" if unbatched <= batched else "ON",
         f"the scene needs up to {size_text(wanted)}, and {why}; inside memory a ray is expected to take "
@@ -166,9 +170,11 @@ def _paged(settings: RenderSettings, is_cuda: bool, tree: int, memory: Memory, w
     if settings.batching == "AUTO":
         choices["batching"] = Choice("ON", f"{why}: its geometry is brought in by pages")
     if not budget:
-        budget = int(memory.free * PAGED_SHARE)
+        left = max(memory.free - memory.beside, 0)
+        budget = int(left * PAGED_SHARE)
+        beside = f" beside {size_text(memory.beside)} of instances" if memory.beside >= _BESIDE_LEAST * left else ""
         choices["geometry_budget"] = Choice(
-            budget, f"half of the {size_text(memory.free)} that are free; the rest is for rays"
+            budget, f"half of the {size_text(left)} that are free{beside}; the rest is for rays"
         )
     complaints = []
     if store == "PEERS" and memory.peers < 2:

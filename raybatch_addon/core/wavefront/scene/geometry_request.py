@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import warp as wp
 
 from ...bvh.node import Layout
 from ...bvh.pages.peers.shared import PeerPages
 from ...device.bulk import digest_of
+from ...host_memory import Room, mapped_empty
 from ...scene.description import Scene
 from ...settings.settings import RenderSettings
 from ..plan.plan import Method, TracingPlan, cut_rule
@@ -27,6 +30,12 @@ class GeometryRequest:
     page_folder: Path  # for geometry that lies on disk
     peers: PeerPages | None = None  # this device's part, where devices hold pages for each other
     cancelled: Callable[[], bool] = lambda: False  # asked on any thread while pages are built, which it ends
+
+    def room(self, device: wp.Device) -> Room:
+        """Where arrays of all geometry lie: on the disk too where that is what is behind the memory of a CPU."""
+        if device.is_cpu and self.plan.method is Method.PAGED and self.plan.geometry_store == "DISK":
+            return functools.partial(mapped_empty, folder=self.page_folder)
+        return np.empty
 
     def kind(self) -> tuple:
         """The choices that a tree depends on."""

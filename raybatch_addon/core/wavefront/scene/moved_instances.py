@@ -17,7 +17,7 @@ from ...device.bulk import digest_of
 from ...kept_arrays import overwrite_changed, overwrite_rows
 from ...scene.description import Instances, Mesh, Scene
 from ...scene.flatten import IDENTITY, FlatGeometry, baked_mesh
-from ...scene.frozen import Same
+from ...scene.frozen import Same, is_frozen
 from ...scene.geometry import Geometry
 
 
@@ -39,7 +39,7 @@ class Placed:
         large = ("positions", "triangles", "corner_normals", "triangle_slot")
         small = replace(flat, **{name: getattr(flat, name)[:0].copy() for name in large})
         same = Same(arrays, (_still(scene.instances), values))
-        return Placed(small, np.array(scene.instances.transform), same)
+        return Placed(small, _lasting(scene.instances.transform), same)
 
     @property
     def is_baked(self) -> np.ndarray:
@@ -65,6 +65,11 @@ class Placed:
         return bool((_mirrors(now[moving]) == _mirrors(self.transform[moving])).all())
 
 
+def _lasting(transform: np.ndarray) -> np.ndarray:
+    """`transform`, which nobody changes later: a copy where somebody might."""
+    return transform if is_frozen(transform) else np.array(transform)
+
+
 def _still(instances: Instances) -> bytes:
     """A digest of all that instances are, but for where."""
     return digest_of([instances.mesh, instances.visibility, instances.slot_first])
@@ -78,7 +83,7 @@ def follow_moved(
     frame.
     """
     instances, flat = scene.instances, placed.flat
-    now, is_baked = np.array(instances.transform), placed.is_baked
+    now, is_baked = _lasting(instances.transform), placed.is_baked
     moving = placed.moving(now)
     for i in moving.tolist():
         _move(geometry, flat, i, scene.meshes[instances.mesh[i]], now[i])

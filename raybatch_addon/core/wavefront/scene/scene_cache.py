@@ -176,12 +176,14 @@ class SceneCache:
         size = GeometrySize.of(scene)
         whole = request.plan.method is not Method.PAGED
         check_counts(size, corners=device.is_cuda and not whole)
-        if whole:
-            check_memory(size, request.layout, device, all_of_it=True)
-        with explained_memory_errors(size, request.layout, device):
+        asked = size, request.layout, device
+        budget = None if whole else request.plan.geometry_budget
+        check_memory(*asked, all_of_it=True, budget=budget)
+        with explained_memory_errors(*asked, budget=budget):
             before = self._last
             follows = _may_show(before, request, device)
-            shows, flat = grouped(scene, _shown_before(before), bakes=self._bakes, follows=follows, keyed=device.is_cpu)
+            made = dict(bakes=self._bakes, keyed=device.is_cpu, room=request.room(device))
+            shows, flat = grouped(scene, _shown_before(before), follows=follows, **made)
             fingerprint = Fingerprint.of(flat, scene, request.kind())
             with self._lock:
                 # nothing is kept until the new one is whole: not what an error left half done, nor two of them
@@ -196,10 +198,9 @@ class SceneCache:
                 ):
                     del last, before
                     self.inputs.clear()
-                    if whole:
-                        check_memory(size, request.layout, device, all_of_it=False)
+                    check_memory(*asked, all_of_it=False, budget=budget)
                     if shows.is_follower:
-                        shows, flat = grouped(scene, bakes=self._bakes, keyed=device.is_cpu)
+                        shows, flat = grouped(scene, **made)
                         fingerprint = Fingerprint.of(flat, scene, request.kind())
                     last = _build(fingerprint, flat, scene, request, device)
                     last.shows, last.kind = shows, request.kind()
@@ -327,9 +328,11 @@ def _build(
     fingerprint: Fingerprint, flat: FlatGeometry, scene: Scene, request: GeometryRequest, device: wp.Device
 ) -> Kept:
     plan, settings, layout, visibility = request.plan, request.settings, request.layout, scene.instances.visibility
-    on_host = plan.method is Method.PAGED and device.is_cuda
-    geometry = upload_geometry(with_motion(flat, corners=on_host), scene, device, on_host)
-    if plan.method is Method.PAGED:
+    paged = plan.method is Method.PAGED
+    on_host = paged and device.is_cuda
+    # of what is kept in pages nothing follows another frame in place
+    geometry = upload_geometry(with_motion(flat, corners=on_host), scene, device, on_host, in_place=paged)
+    if paged:
         asked: dict[str, Any] = dict(
             budget=plan.geometry_budget,
             rule=cut_rule(request.plan, request.settings),
@@ -338,9 +341,9 @@ def _build(
             cancelled=request.cancelled,
         )
         if plan.geometry_store == "PEERS":
-            paged = build_with_peers(request.peers, flat, visibility, layout, device, encodes=encodes(layout), **asked)
+            pages = build_with_peers(request.peers, flat, visibility, layout, device, encodes=encodes(layout), **asked)
         else:
-            paged = build_paged_scene(
+            pages = build_paged_scene(
                 flat,
                 visibility,
                 layout,
@@ -353,7 +356,7 @@ def _build(
         return Kept(
             fingerprint=fingerprint,
             geometry=geometry,
-            built=PagedTree(paged, Residency(paged, plan.geometry_budget, device)),
+            built=PagedTree(pages, Residency(pages, plan.geometry_budget, device)),
         )
     if plan.method is Method.REFERENCE:
         return Kept(

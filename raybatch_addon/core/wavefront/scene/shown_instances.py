@@ -15,6 +15,7 @@ import warp as wp
 from ...bvh.build.mesh_tree import mesh_parts
 from ...bvh.build.scene_tree import BuiltTree
 from ...bvh.build.shown import follow_shown
+from ...host_memory import Room
 from ...scene.description import Scene
 from ...scene.flatten import FlatGeometry, flatten
 from ...scene.frozen import is_frozen
@@ -70,17 +71,21 @@ def _has_keys(scene: Scene) -> bool:
 
 
 def _shared_keys(scene: Scene) -> tuple[bytes, ...]:
-    uses = [0] * len(scene.meshes)
-    for mesh in scene.instances.mesh.tolist():
-        uses[mesh] += 1
+    uses = np.bincount(scene.instances.mesh, minlength=len(scene.meshes)).tolist()
     return tuple(mesh_key(m) for m, count in zip(scene.meshes, uses, strict=True) if count > 1 and len(m.triangles))
 
 
 def grouped(
-    scene: Scene, before: ShownInstances | None = None, *, bakes: KeptBakes, follows: bool = False, keyed: bool = True
+    scene: Scene,
+    before: ShownInstances | None = None,
+    *,
+    bakes: KeptBakes,
+    follows: bool = False,
+    keyed: bool = True,
+    room: Room = np.empty,
 ) -> tuple[ShownInstances, FlatGeometry]:
     """What `scene` shows and its geometry, grouped as in the frame `before` if it shows the same objects, or if it can
-    follow one that shows others (`follows`). `keyed`: a later frame may follow this one.
+    follow one that shows others (`follows`). `keyed`: a later frame may follow this one. `room`: as for `flatten`.
     """
     now = ShownInstances.of(scene, keyed)
     groups: Sequence[Group] | None = None
@@ -91,7 +96,7 @@ def grouped(
     if groups is not None:
         now = ShownInstances(tuple(groups), now.shared)
     bakes.begin()
-    return now, flatten(scene, now.groups, bakes.get)
+    return now, flatten(scene, now.groups, bakes.get, room)
 
 
 def show(

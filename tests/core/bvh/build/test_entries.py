@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from raybatch_addon.core.bvh.build.entries import Entries
+from raybatch_addon.core.bvh.build.entries import Entries, map_condition
 from raybatch_addon.core.bvh.build.top_level import build_top_level
 from raybatch_addon.core.bvh.node import Layout
 from tests.twins.watertight import intersect_float32
@@ -47,6 +47,8 @@ def test_hits_of_squashed_instances_lie_within_their_margined_boxes(squash):
 def made_entries(to_world: np.ndarray, from_world: np.ndarray) -> Entries:
     """Entries of which only the maps are asked for."""
     entries = Entries.__new__(Entries)
-    object.__setattr__(entries, "to_world", to_world)
-    object.__setattr__(entries, "from_world", from_world)
+    object.__setattr__(entries, "mesh", np.zeros(len(to_world), np.int32))
+    object.__setattr__(entries, "instance", np.arange(len(to_world), dtype=np.int32))
+    object.__setattr__(entries, "transform", to_world)
+    object.__setattr__(entries, "condition", map_condition(to_world, from_world))
     return entries

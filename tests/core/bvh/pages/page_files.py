@@ -1,5 +1,8 @@
-"""A scene whose pages lie in a file."""
+"""A scene whose pages lie in a file, and whether arrays lie in one."""
 
+import mmap
+
+import numpy as np
 import warp as wp
 
 from raybatch_addon.core.bvh.node import Layout
@@ -18,3 +21,11 @@ def built(store, folder=None, layout=Layout.BOXES, budget=BUDGET, **more) -> Pag
     return build_paged_scene(
         FLAT, SCENE.instances.visibility, layout, wp.get_device("cpu"), budget, store, folder, **more
     )
+
+
+def is_mapped(array: np.ndarray) -> bool:
+    """Whether the memory of `array` is that of a file."""
+    part = array
+    while isinstance(part, np.ndarray):
+        part = part.base
+    return isinstance(part, mmap.mmap)

@@ -2,6 +2,7 @@
 reason.
 """
 
+import dataclasses
 import math
 import re
 
@@ -152,3 +153,22 @@ def test_trees_split_triangles_where_the_render_is_long_enough():
     assert "spatial_splits" not in split_plan(samples=1, spatial_splits="ON").choices
     paged = split_plan(geometry_budget=10**6)
     assert paged.method is Method.PAGED and not paged.splits
+
+
+@pytest.mark.parametrize(("layout", "is_cuda"), LAYOUTS)
+def test_instances_count(layout, is_cuda):
+    """A budget that holds the triangles, and not what is known of ten million instances; and what is left of memory."""
+    few = GeometrySize(TRIANGLES, TRIANGLES // 2, TRIANGLES, smooth=True)
+    many = dataclasses.replace(few, instances=10**7, entries=10**7)
+    budget = few.tree_bytes_most(layout) + GB // 10
+
+    def plan_of(size: GeometrySize, beside: int = 0, needed: int = GB, **settings) -> TracingPlan:
+        memory = Memory(needed, 100 * GB, 100 * GB, beside=beside)
+        return plan_tracing(RenderSettings(**settings), size, layout, is_cuda, memory)
+
+    assert plan_of(few, geometry_budget=budget).method is Method.UNBATCHED
+    assert plan_of(many, geometry_budget=budget).method is Method.PAGED
+    left, all_of_it = plan_of(many, 20 * GB, 200 * GB), plan_of(many, 0, 200 * GB)
+    assert (left.geometry_budget, all_of_it.geometry_budget) == (40 * GB, 50 * GB)
+    assert "beside 20.0 GB of instances" in left.choices["geometry_budget"].why
+    assert "instances" not in all_of_it.choices["geometry_budget"].why
