@@ -68,6 +68,11 @@ class Connection:
         """The address of Dask's own pages on what goes on; empty where there are none."""
         return str(getattr(self._client, "dashboard_link", "") or "")
 
+    @property
+    def silent(self) -> set[str]:
+        """Addresses of workers that were left out since nothing was heard of them."""
+        return self._dropped
+
     def close(self) -> None:
         """Leave the cluster, which goes on."""
         self._drop()
@@ -139,6 +144,7 @@ class Connection:
                 found = self._client.scheduler_info(n_workers=-1)["workers"]
                 newest = max((each["last_seen"] for each in found.values()), default=0.0)  # by the scheduler's clock
                 silent = {name for name, each in found.items() if newest - each["last_seen"] > SILENT_SECONDS}
+                self._dropped -= found.keys() - silent  # who came back may be silent again
                 for address in silent - self._dropped:
                     self._report(f"the worker {address} is silent; what it was asked for is rendered elsewhere")
                     self._dropped.add(address)
