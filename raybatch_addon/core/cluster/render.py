@@ -282,7 +282,7 @@ class ClusterRender:
                 self._add(film)
 
     def _merge(self) -> None:
-        while (pair := self._tree.take_pair(self._is_dealt and not self._tasks and not self._unsafe)) is not None:
+        while (pair := self._tree.take_pair(self._is_dealt and not self._tasks)) is not None:
             earlier, later, rank = pair
             parts = self._films.pop(earlier), self._films.pop(later)
             future = self._connection.submit("merge", *(each.future for each in parts), priority=60)

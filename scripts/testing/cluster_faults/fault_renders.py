@@ -36,9 +36,9 @@ if a film differs, a render does not end, or its report lacks something.
 """
 MARKS = ("<!-- faults: made by fault_renders.py -->", "<!-- end of faults -->")
 SIZE = (48, 36)  # pixels
-BANDS = 3
-RENDER_SECONDS = 2.5  # of a film by one process with one thread, about
-TASK_SECONDS = 0.25
+BANDS = 2
+RENDER_SECONDS = 1.0  # of a processor that a film takes, about, beside what its tasks do
+LEAST_SECONDS = 0.5  # of a task, where it can be: its film and its worker's Python take as long
 SILENT_SECONDS = 3.0  # a worker is left out that was silent for so long
 NOTICED_SECONDS = 3.0  # what happens so long before the end is in the report
 LIMIT_SECONDS = 180.0  # a render that takes longer hangs
@@ -74,9 +74,9 @@ class Variant:
         self.scene = resized(schedule_scenes.SCENES["mixed"](), *SIZE)
         settings = schedule_scenes.ESTIMATOR.replace(**VARIANTS[name], device="cpu", thread_count=1)
         for count in (32, 128):  # kernels are loaded; then a sample is timed
-            started = time.perf_counter()
+            started = time.process_time()
             session.render(self.scene, settings.replace(sample_count=count))
-        a_sample = (time.perf_counter() - started) / count
+        a_sample = (time.process_time() - started) / count
         self.settings = settings.replace(sample_count=max(64, int(RENDER_SECONDS / a_sample)))
         self.expected = session.render(self.scene, self.settings)
 
@@ -198,9 +198,9 @@ def run(options: argparse.Namespace, folders: OutputFolders, standard_output: IO
     for name in (options.json, options.page):
         if name and str(name) != "-":
             folders.prepare(Path(name).absolute())
-    # as in large pictures, in small ones
-    ranges.TASK_SECONDS, ranges.LAYER_SECONDS, ranges.TASK_TIMES_FILM = TASK_SECONDS, 4 * TASK_SECONDS, 0.0
-    ranges.LEAST_SECONDS, bands.BAND_PIXELS = TASK_SECONDS / 4, SIZE[0] * SIZE[1] // BANDS
+    # tasks have half of a worker's part of what is left, however busy the machine is: some fifteen in a render
+    ranges.TASK_SECONDS, ranges.LAYER_SECONDS, ranges.TASK_TIMES_FILM = 1e6, 1e6, 0.0
+    ranges.LEAST_SECONDS, bands.BAND_PIXELS = LEAST_SECONDS, SIZE[0] * SIZE[1] // BANDS
     connection.SILENT_SECONDS = SILENT_SECONDS
     start, session = time.perf_counter(), Session("cpu", cache_folder=kernel_cache_folder())
     variants = [Variant(session, name) for name in options.variants]
@@ -213,6 +213,8 @@ def run(options: argparse.Namespace, folders: OutputFolders, standard_output: IO
             alone = [renders.render(with_faults=False) for _ in variants]  # workers load their kernels
             renders.outcomes.clear()
             for number in range(options.renders):
+                if options.seconds and time.perf_counter() - start > options.seconds:
+                    break
                 if number == (options.renders + 1) // 2:
                     machines.add()
                 outcome = renders.render()
@@ -226,20 +228,26 @@ def run(options: argparse.Namespace, folders: OutputFolders, standard_output: IO
         finally:
             machines.close()
             session.close()
-    report = {
-        "date": today(),
-        "commit": commit(),
-        "seed": options.seed,
-        "seconds": round(time.perf_counter() - start),
-        "samples": [each.settings.sample_count for each in variants],
-        "outcomes": [asdict(each) for each in (*alone, *renders.outcomes)],
-    }
+    report = _report(options, start, variants, [*alone, *renders.outcomes])
     table = table_of(report)
     write_report(options.json, report, table, standard_output)
     if options.page:
         text = options.page.read_text(encoding="utf-8")
         write_text(options.page, with_part(text, *MARKS, table, options.page))
     return int(any(each["faulty"] for each in report["outcomes"]))
+
+
+def _report(
+    options: argparse.Namespace, start: float, variants: list[Variant], outcomes: list[Outcome]
+) -> dict[str, Any]:
+    return {
+        "date": today(),
+        "commit": commit(),
+        "seed": options.seed,
+        "seconds": round(time.perf_counter() - start),
+        "samples": [each.settings.sample_count for each in variants],
+        "outcomes": [asdict(each) for each in outcomes],
+    }
 
 
 def table_of(report: dict[str, Any]) -> str:
@@ -272,8 +280,12 @@ def table_of(report: dict[str, Any]) -> str:
 def _row(outcomes: list[dict[str, Any]], name: str = "") -> str:
     """The row of these renders, which have the same machines and variant where there is no `name`."""
     head = f"{name} |" if name else f"{outcomes[0]['machines']} | {outcomes[0]['variant']}"
-    numbers = len(outcomes), sum(len(each["faults"]) for each in outcomes)
-    numbers += sum(each["tasks_again"] for each in outcomes), sum(bool(each["faulty"]) for each in outcomes)
+    numbers = (
+        len(outcomes),
+        sum(len(each["faults"]) for each in outcomes),
+        sum(each["tasks_again"] for each in outcomes),
+        sum(bool(each["faulty"]) for each in outcomes),
+    )
     return f"| {head} | {' | '.join(map(str, numbers))} |"
 
 
@@ -283,6 +295,7 @@ def main(arguments: list[str] | None = None) -> int:
         prog="fault_renders.py", description=DESCRIPTION, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("--renders", type=int, default=50, metavar="N", help="default: 50")
+    parser.add_argument("--seconds", type=float, metavar="S", help="begin no render after so long")
     parser.add_argument("--variants", nargs="+", choices=VARIANTS, default=list(VARIANTS), metavar="NAME")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of chance; default: 0")
     parser.add_argument("--json", metavar="FILE", help="write the report as JSON too; - is standard output")

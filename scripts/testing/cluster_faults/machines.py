@@ -119,6 +119,11 @@ class Machines:
         self._keeper = threading.Thread(target=self._keep, name="machines are kept", daemon=True)
         self._keeper.start()
 
+    @property
+    def scheduler_pid(self) -> int:
+        """The scheduler's process."""
+        return self._scheduler.pid
+
     def _scheduler_address(self) -> str:
         import json
 
