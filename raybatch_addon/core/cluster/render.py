@@ -145,8 +145,12 @@ class ClusterRender:
 
     @property
     def tasks_running(self) -> int:
-        """Tasks that workers have of it."""
-        return sum(len(task.futures) for task in self._tasks)
+        """Tasks that workers have of it. One that is done makes room at once, where it is known what samples take:
+        who rendered it is told later.
+        """
+        if self._deal.sample_seconds is None:
+            return sum(len(task.futures) for task in self._tasks)
+        return sum(not each.done() for task in self._tasks for each in task.futures)
 
     def look(self) -> None:
         """See what came; raises `ClusterError`."""
@@ -173,7 +177,8 @@ class ClusterRender:
             running += 1
         for task in sorted(self._tasks, key=lambda each: each.begun):
             # nothing else is left: who is late is helped
-            if running < slots and len(task.futures) == 1 and self._deal.is_late(task.samples, now - task.begun):
+            is_alone = len(task.futures) == 1 and task.done is None
+            if running < slots and is_alone and self._deal.is_late(task.samples, now - task.begun):
                 task.futures.append(self._asked(task.samples, hosts))
                 task.hosts |= hosts
                 self.tasks_again += 1

@@ -9,11 +9,11 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from studies.many_workers.clock import Clock, Line, Port, transfer
+from studies.many_workers.model import Costs, Job, Losses, Outcome, Site
 
 from raybatch_addon.core.cluster.bands import bands_of
 from raybatch_addon.core.cluster.ranges import MergeTree, RangeDeal, SampleRange
-from studies.many_workers.clock import Clock, Line, Port, transfer
-from studies.many_workers.model import Costs, Job, Losses, Outcome, Site
 
 _BUNDLE_BYTES, _AT_ONCE = float(1 << 25), 4  # as in core/cluster/staging.py
 _HELPERS = 4  # threads that wait for films, as in core/cluster/render.py
@@ -67,6 +67,11 @@ class Frame:
         self.is_asked = self.is_fetching = self.is_over = False
         self.ready: set[int] = set()  # machines that have its scene
 
+    @property
+    def running(self) -> int:
+        """Tasks that workers have of it."""
+        return sum(len(task.workers) for task in self.tasks)
+
 
 class Simulation:
     """One job on one cluster."""
@@ -117,9 +122,7 @@ class Simulation:
         for frame in [*self.frames]:
             self._look(frame)
         for frame in self.frames:
-            self._issue(
-                frame, sum(len(task.workers) for each in self.frames if each is not frame for task in each.tasks)
-            )
+            self._issue(frame, sum(each.running for each in self.frames if each is not frame))
         self._client.busy += self._steps_cost
         if self._taken < job.frames:
             self.clock.after(self.site.poll + self._steps_cost, self._step)
@@ -141,14 +144,10 @@ class Simulation:
         for task in [*frame.tasks]:
             if task.is_told:
                 frame.tasks.remove(task)
-                beside = self.costs.film_made * frame.pixels
                 by = task.by
                 assert by is not None  # or nobody told
-                frame.deal.note(
-                    task.samples,
-                    self._sample_seconds(frame, task.samples, by),
-                    beside if by in frame.prepared else None,
-                )
+                beside = self.costs.film_made * frame.pixels if by in frame.prepared else None
+                frame.deal.note(task.samples, self._sample_seconds(frame, task.samples, by), beside)
                 frame.prepared.add(by)
                 frame.unsafe.append(_Film(task.samples, 0, [by]))
             elif task.by is not None and not task.is_known:
@@ -177,7 +176,7 @@ class Simulation:
     def _issue(self, frame: Frame, busy: int) -> None:
         ready = [each for each in self.workers if each.machine in frame.ready]
         slots = len(ready) * (1 + self.site.ahead)
-        running = busy + sum(len(each.workers) for each in frame.tasks)
+        running = busy + frame.running
         while running < slots:
             samples = frame.deal.next(len(ready))
             if samples is None:
@@ -276,7 +275,7 @@ class Simulation:
         return self.costs.film_bytes * frame.pixels
 
     def _merge(self, frame: Frame) -> None:
-        is_last = frame.deal.is_dealt and not frame.tasks and not frame.unsafe
+        is_last = frame.deal.is_dealt and not frame.tasks
         while (pair := frame.tree.take_pair(is_last)) is not None:
             earlier, later, rank = pair
             first, second = frame.films.pop(earlier), frame.films.pop(later)
@@ -284,7 +283,6 @@ class Simulation:
             by = (both or first.holders)[0]
             film = _Film(replace(earlier, end=later.end), rank, [by], is_there=False)
             frame.unsafe.append(film)
-            is_last = False  # as the film is unsafe now
 
             def merge(film: _Film = film, by: Worker = by) -> None:
                 by.merging.serve(self.costs.film_merged * frame.pixels, lambda: setattr(film, "is_there", True))

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from unittest import mock
 
 import numpy as np
+from studies.many_lights import hall
 
 from raybatch_addon.core.checkpoint.identity import FilmIdentity
 from raybatch_addon.core.checkpoint.merging import joined
@@ -22,8 +23,6 @@ from raybatch_addon.core.cluster.parts import parts_of, scene_of
 from raybatch_addon.core.cluster.store import PartStore
 from raybatch_addon.core.scene.description import Scene
 from raybatch_addon.core.settings.settings import RenderSettings
-from studies import scenes
-from studies.many_lights import hall
 
 if TYPE_CHECKING:
     from studies.bench import Bench
