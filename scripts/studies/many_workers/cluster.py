@@ -4,18 +4,20 @@ workers, the network, Dask's scheduler and who hands out take what they were mea
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from studies.many_workers.clock import Clock, Line, Port, transfer
-from studies.many_workers.model import Costs, Job, Losses, Outcome, Site
 
 from raybatch_addon.core.cluster.bands import bands_of
 from raybatch_addon.core.cluster.ranges import MergeTree, RangeDeal, SampleRange
+from studies.many_workers.clock import Clock, Line, Port, transfer
+from studies.many_workers.model import Costs, Job, Losses, Outcome, Site
 
 _BUNDLE_BYTES, _AT_ONCE = float(1 << 25), 4  # as in core/cluster/staging.py
+_TOGETHER_SECONDS = 0.005  # as in core/cluster/connection.py
 _HELPERS = 4  # threads that wait for films, as in core/cluster/render.py
 
 
@@ -69,8 +71,9 @@ class Frame:
 
     @property
     def running(self) -> int:
-        """Tasks that workers have of it."""
-        return sum(len(task.workers) for task in self.tasks)
+        """Tasks that workers have of it; those whose end is known make room once it is known what samples take."""
+        is_measured = self.deal.sample_seconds is not None
+        return sum(len(task.workers) - (is_measured and task.by is not None) for task in self.tasks)
 
 
 class Simulation:
@@ -96,6 +99,7 @@ class Simulation:
         self._begun = self._taken = self.tasks = 0
         self._last_task = 0.0  # when the last one ended
         self._steps_cost = 0.0
+        self._looks, self._next_look, self._least_pause = 0, 0.0, 0.0
 
     def run(self) -> Outcome:
         """Until the last frame is at home."""
@@ -115,7 +119,7 @@ class Simulation:
     # --- who hands out
 
     def _step(self) -> None:
-        """One look at all frames, and what follows from it; then a pause."""
+        """One look at all frames, and what follows from it; then a pause, until something comes."""
         job, self._steps_cost = self.job, 0.0
         while self._begun < job.frames and self._begun - self._taken < job.under_way:
             self._begin_frame()
@@ -125,7 +129,21 @@ class Simulation:
             self._issue(frame, sum(each.running for each in self.frames if each is not frame))
         self._client.busy += self._steps_cost
         if self._taken < job.frames:
-            self.clock.after(self.site.poll + self._steps_cost, self._step)
+            self._least_pause = self.clock.now + self._steps_cost
+            self._look_at(self._least_pause + self.site.poll)
+
+    def _look_at(self, seconds: float) -> None:
+        """The next look is then, and not when it was to be."""
+        self._looks += 1
+        self._next_look = seconds
+        number = self._looks
+        self.clock.at(seconds, lambda: self._step() if number == self._looks else None)
+
+    def _came(self) -> None:
+        """Something that was asked for is there: a look is due."""
+        due = max(self.clock.now, self._least_pause) + _TOGETHER_SECONDS
+        if due < self._next_look:
+            self._look_at(due)
 
     def _asked(self, then: Callable[[], None]) -> None:
         """A task is asked for: `then`, once the scheduler has dealt with it."""
@@ -152,7 +170,7 @@ class Simulation:
                 frame.unsafe.append(_Film(task.samples, 0, [by]))
             elif task.by is not None and not task.is_known:
                 task.is_known = True
-                self._asked(lambda task=task: self.clock.after(2 * self.costs.latency, lambda: _tell(task)))
+                self._asked(lambda task=task: self.clock.after(2 * self.costs.latency, lambda: self._told(task)))
         for film in [*frame.unsafe]:
             if film.is_there and film.is_secured is None:
                 film.is_secured = False
@@ -236,7 +254,15 @@ class Simulation:
             self.losses.twice += self.site.gpus_worker * seconds
             return
         self._last_task = self.clock.now
-        self._scheduler.serve(0.0, lambda: self.clock.after(self.costs.latency, lambda: _end(task, worker)))
+        self._scheduler.serve(0.0, lambda: self.clock.after(self.costs.latency, lambda: self._ended(task, worker)))
+
+    def _ended(self, task: _Task, worker: Worker) -> None:
+        task.by = task.by or worker
+        self._came()
+
+    def _told(self, task: _Task) -> None:
+        task.is_told = True
+        self._came()
 
     # --- films
 
@@ -284,8 +310,12 @@ class Simulation:
             film = _Film(replace(earlier, end=later.end), rank, [by], is_there=False)
             frame.unsafe.append(film)
 
-            def merge(film: _Film = film, by: Worker = by) -> None:
-                by.merging.serve(self.costs.film_merged * frame.pixels, lambda: setattr(film, "is_there", True))
+            def merged(film: _Film = film) -> None:
+                film.is_there = True
+                self._came()
+
+            def merge(by: Worker = by, merged: Any = merged) -> None:
+                by.merging.serve(self.costs.film_merged * frame.pixels, merged)
 
             def bring(second: _Film = second, by: Worker = by, merge: Any = merge, both: Any = both) -> None:
                 if both:
@@ -323,49 +353,45 @@ class Simulation:
     # --- scenes
 
     def _send_scene(self, frame: Frame) -> None:
-        """Bundles go to each machine, some at a time, from any that has them."""
-        costs, share = self.costs, 1.0 if frame.number == 0 else self.job.changed
-        size = self.job.scene_bytes * share
+        """Each bundle leaves home once, and goes on from machine to machine; some at a time come to each."""
+        size = self.job.scene_bytes * (1.0 if frame.number == 0 else self.job.changed)
         count = max(1, -(-int(size) // int(_BUNDLE_BYTES)))
-        sources: list[list[Port]] = [[self._home] for _ in range(count)]
-        lacking = {machine: list(self._random.permutation(count)) for machine in range(len(self._ports))}
+        waiting: list[list[int]] = [[] for _ in range(count)]  # machines, by bundle
+        idle: list[list[Port]] = [[self._home] for _ in range(count)]  # that have it, and do not send it
+        machines = range(len(self._ports))
+        asked, left = dict.fromkeys(machines, 0), dict.fromkeys(machines, count)
 
-        def send(machine: int) -> None:
-            if not lacking[machine]:
-                return
-            bundle, port = int(lacking[machine].pop()), self._ports[machine]
-            # whoever has it and is free first
-            source = min(sources[bundle], key=lambda each: each.out.free_at)
+        def ask(machine: int) -> None:
+            if asked[machine] < count:
+                bundle = asked[machine]
+                asked[machine] += 1
+                waiting[bundle].append(machine)
+                pump(bundle)
 
-            def came() -> None:
-                sources[bundle].append(port)
-                self.clock.after(costs.scene_kept * size / count, lambda: kept(machine))
+        def pump(bundle: int) -> None:
+            while waiting[bundle] and idle[bundle]:
+                source, machine = idle[bundle].pop(0), waiting[bundle].pop(0)
+                came = functools.partial(arrived, bundle, source, machine)
+                transfer(self.clock, source, self._ports[machine], size / count, self.costs.latency, came)
 
-            transfer(self.clock, source, port, size / count, costs.latency, came)
-
-        left = dict.fromkeys(lacking, count)
+        def arrived(bundle: int, source: Port, machine: int) -> None:
+            idle[bundle] += [self._ports[machine], *([] if source is self._home else [source])]
+            pump(bundle)
+            self.clock.after(self.costs.scene_kept * size / count, functools.partial(kept, machine))
 
         def kept(machine: int) -> None:
             left[machine] -= 1
             if left[machine]:
-                send(machine)
+                ask(machine)
             else:
                 frame.ready.add(machine)
 
         def begin() -> None:
-            for machine in lacking:
+            for machine in machines:
                 for _ in range(_AT_ONCE):
-                    send(machine)
+                    ask(machine)
 
-        self.clock.after(costs.scene_cut * size, begin)
-
-
-def _tell(task: _Task) -> None:
-    task.is_told = True
-
-
-def _end(task: _Task, worker: Worker) -> None:
-    task.by = task.by or worker
+        self.clock.after(self.costs.scene_cut * size, begin)
 
 
 def simulated(costs: Costs, site: Site, job: Job, seed: int = 0) -> Outcome:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from studies.many_workers.model import Costs, Job, Site
+from studies.many_workers.model import Job, Site
 
 GPUS = (8, 64, 512)
 BANDWIDTHS = (10, 25, 100)  # of a machine [Gbit/s]
@@ -19,8 +19,8 @@ FRAMES = 48
 STILLS = {"still, 60 s": 60.0, "still, 10 min": 600.0, "still, 5 h": 18_000.0}
 ANIMATION = f"animation, {FRAMES} frames of 60 s"
 
-# Speedups that were measured on H100s of one host (docs/devices.md): seconds of one GPU, GPUs, and how much sooner. Those
-# of one GPU are known for the demo at 1,024 samples; the others follow from it, and from seconds a sample of the BMW
+# Speedups that were measured on H100s of one host (docs/devices.md): seconds of one GPU, GPUs, and how much sooner.
+# Seconds of one are known for the demo at 1,024 samples; the BMW's are assumed, and matter little
 MEASURED = (
     ("demo, 1024 samples", 45.7, 2, 1.94),
     ("demo, 1024 samples", 45.7, 4, 3.64),
@@ -32,8 +32,8 @@ MEASURED = (
     ("BMW, 256 samples", 45.0, 4, 3.81),
 )
 FITTED = 1  # the row of it that the serial share was taken from
-# Two workers on two cores beside one process with two threads, seconds each: a sample takes a worker 1.16 times as long,
-# and the workers start for six seconds
+# Two workers on two cores beside one process with two threads, seconds of this and of them: a sample takes a worker
+# 1.16 times as long, and the workers start for six seconds
 LOCAL = ((32.0, 42.0), (95.0, 127.0))
 LOCAL_SAMPLE, LOCAL_START = 1.16, 6.0
 
@@ -45,9 +45,7 @@ def site(gpus: int, gigabits: float = 25.0) -> Site:
 
 def still(seconds: float, is_cold: bool) -> Job:
     """One picture; a cluster that is cold has nothing of the scene, and no kernels are loaded."""
-    cold = Job(
-        seconds, scene_bytes=SCENE_BYTES, kernel_seconds=KERNEL_SECONDS, build_seconds=BUILD_SECONDS
-    )
+    cold = Job(seconds, scene_bytes=SCENE_BYTES, kernel_seconds=KERNEL_SECONDS, build_seconds=BUILD_SECONDS)
     return cold if is_cold else replace(cold, scene_bytes=0.0, kernel_seconds=0.0)
 
 
@@ -57,13 +55,8 @@ def animation(is_cold: bool = True) -> Job:
 
 
 def local_job(seconds: float) -> tuple[Site, Job]:
-    """Two workers on two cores, and the samples of a picture that takes one process `seconds` (640 x 360 pixels): half a
-    process renders half as fast, and what beside samples takes a processor is in what a sample takes.
+    """Two workers on two cores, and a picture of 640 x 360 pixels that takes one process with both `seconds`: a worker
+    has one core, and takes `LOCAL_SAMPLE` times as long for a sample as the process would with it.
     """
     job = Job(2 * seconds * LOCAL_SAMPLE, samples=256, width=640, height=360, kernel_seconds=0.0)
     return Site(2, gpus_machine=2, spread=0.0), job
-
-
-def on_a_processor(costs: Costs) -> Costs:
-    """Costs where the workers' second threads share their cores: they are in what a sample takes."""
-    return replace(costs, film_made=0.0, film_merged=0.0)

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 from unittest import mock
 
 import numpy as np
-from studies.many_lights import hall
 
 from raybatch_addon.core.checkpoint.identity import FilmIdentity
 from raybatch_addon.core.checkpoint.merging import joined
@@ -23,10 +22,11 @@ from raybatch_addon.core.cluster.parts import parts_of, scene_of
 from raybatch_addon.core.cluster.store import PartStore
 from raybatch_addon.core.scene.description import Scene
 from raybatch_addon.core.settings.settings import RenderSettings
+from studies.many_lights import hall
+from studies.study import Case, Options, Row
 
 if TYPE_CHECKING:
     from studies.bench import Bench
-    from studies.study import Row
 
 EDGE = 512  # of the film that is measured: 262,144 pixels, a band of a large picture
 TASKS = (60, 180)  # of the renders whose difference is what a task costs
@@ -157,3 +157,20 @@ def _relayed(connection: Any, scheduler: Any) -> float:
 
 def _seconds(began: Any, ended: Any) -> float:
     return ended.user + ended.system - began.user - began.system
+
+
+MEASURES: dict[str, Callable[[Bench], Row]] = {
+    "films": measured_films,
+    "scenes": measured_scene,
+    "tasks": measured_tasks,
+}
+
+
+def cases(options: Options) -> list[Case]:
+    """The kinds of parts."""
+    return [Case(name, name) for name in MEASURES]
+
+
+def measure(case: Case, turn: int, bench: Bench) -> Row:
+    """The seconds of one kind."""
+    return MEASURES[case.key](bench)

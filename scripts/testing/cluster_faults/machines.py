@@ -143,7 +143,7 @@ class Machines:
             for machine in [*self.all]:
                 machine.keep()
 
-    def mend(self, connection: Any, seconds: float = 120.0) -> None:
+    def mend(self, connection: Any, seconds: float = 600.0) -> None:
         """All machines work, and have nothing of scenes; raises `RuntimeError` where they do not after some time."""
         for machine in self.all:
             machine.fill_disk(is_full=False)
