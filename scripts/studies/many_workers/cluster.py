@@ -170,11 +170,13 @@ class Simulation:
                 frame.unsafe.append(_Film(task.samples, 0, [by]))
             elif task.by is not None and not task.is_known:
                 task.is_known = True
-                self._asked(lambda task=task: self.clock.after(2 * self.costs.latency, lambda: self._told(task)))
+                self._asked(
+                    functools.partial(self.clock.after, 2 * self.costs.latency, functools.partial(self._told, task))
+                )
         for film in [*frame.unsafe]:
             if film.is_there and film.is_secured is None:
                 film.is_secured = False
-                self._help(lambda end, film=film, frame=frame: self._secure(frame, film, end))
+                self._help(functools.partial(self._secure, frame, film))
             elif film.is_secured:
                 frame.unsafe.remove(film)
                 frame.films[film.samples] = film
@@ -186,7 +188,7 @@ class Simulation:
             if following:
                 frame.is_fetching = True
                 taken = [frame.films.pop(each) for each in following]
-                self._help(lambda end: self._fetch(frame, taken, end))
+                self._help(functools.partial(self._fetch, frame, taken))
         if frame.is_over:
             self.frames.remove(frame)
             self._taken += 1
@@ -274,8 +276,7 @@ class Simulation:
     def _next_help(self) -> None:
         while self._helped and self._helpers < _HELPERS:
             self._helpers += 1
-            work = self._helped.pop(0)
-            self._asked(lambda work=work: work(self._help_ends))
+            self._asked(functools.partial(self._helped.pop(0), self._help_ends))
 
     def _help_ends(self) -> None:
         self._helpers -= 1

@@ -45,10 +45,10 @@ def measured_films(bench: Bench) -> Row:
     """Seconds of a processor for what happens to a film, for each pixel, and its bytes."""
     scene, settings = hall("lamps", 10, EDGE), RenderSettings(sample_count=1, bounce_max=0)
     session, kept = bench.session, []
-    for first in range(2):
-        film = session.render(scene, settings, sample_first=first)
+    for sample in range(2):
+        film = session.render(scene, settings, sample_first=sample)
         identity = FilmIdentity.of(scene, settings, session.device)
-        kept.append(films.kept_of(film, identity, first, settings.sample_order))
+        kept.append(films.kept_of(film, identity, sample, settings.sample_order))
     first, second = (films.sent_film(each, []) for each in kept)
     pixels = EDGE * EDGE
     bands = []  # halves of the frame, to be put together
