@@ -170,9 +170,8 @@ class Simulation:
                 frame.unsafe.append(_Film(task.samples, 0, [by]))
             elif task.by is not None and not task.is_known:
                 task.is_known = True
-                self._asked(
-                    functools.partial(self.clock.after, 2 * self.costs.latency, functools.partial(self._told, task))
-                )
+                told = functools.partial(self._told, task)
+                self._asked(functools.partial(self.clock.after, 2 * self.costs.latency, told))
         for film in [*frame.unsafe]:
             if film.is_there and film.is_secured is None:
                 film.is_secured = False
