@@ -162,7 +162,7 @@ def draw(reports: dict[str, Report], folder: Path) -> None:
 
     costs = costs_of(reports["cpu"])
     figure, (axis,) = plots.panels(1)
-    counts = [2**i for i in range(10)]
+    counts = [2**i for i in range(3, 10)]
     for (name, job), color in zip(works(False).items(), plots.COLORS, strict=False):
         axis.plot(counts, _efficiencies(costs, counts, job), color=color, marker=".", label=name)
     axis.set_xscale("log", base=2)
