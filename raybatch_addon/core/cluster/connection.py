@@ -87,6 +87,7 @@ class Connection:
             )
             self._client.run_on_scheduler(calls.keep_copies)
         except (OSError, TimeoutError, ValueError) as error:
+            self._drop()
             raise ClusterError(
                 f"there is no scheduler at {self._address} ({type(error).__name__}: {error}); start one with `dask "
                 "scheduler`, or name its address"

@@ -11,6 +11,7 @@ import time
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import IO, Any
+from unittest import mock
 
 for folder in Path(__file__).resolve().parents[2:4]:  # of the scripts, and of the package
     sys.path.insert(0, str(folder))
@@ -96,10 +97,10 @@ class Variant:
             ]
         if film.statistics["rays"] != expected.statistics["rays"]:
             found.append("other rays were traced")
-        return found + _why_not_all(film.statistics["cluster"]["shares"], self.settings.sample_count)
+        return found + why_not_all(film.statistics["cluster"]["shares"], self.settings.sample_count)
 
 
-def _why_not_all(shares: list[dict[str, Any]], count: int) -> list[str]:
+def why_not_all(shares: list[dict[str, Any]], count: int) -> list[str]:
     """What of the samples is missing in the list of ranges, or in it twice."""
     regions: dict[tuple[int, ...], list[tuple[int, int]]] = {}
     for each in shares:
@@ -198,13 +199,17 @@ def run(options: argparse.Namespace, folders: OutputFolders, standard_output: IO
     for name in (options.json, options.page):
         if name and str(name) != "-":
             folders.prepare(Path(name).absolute())
-    # tasks have half of a worker's part of what is left, however busy the machine is: some fifteen in a render
-    ranges.TASK_SECONDS, ranges.LAYER_SECONDS, ranges.TASK_TIMES_FILM = 1e6, 1e6, 0.0
-    ranges.LEAST_SECONDS, bands.BAND_PIXELS = LEAST_SECONDS, SIZE[0] * SIZE[1] // BANDS
-    connection.SILENT_SECONDS = SILENT_SECONDS
     start, session = time.perf_counter(), Session("cpu", cache_folder=kernel_cache_folder())
     variants = [Variant(session, name) for name in options.variants]
-    with tempfile.TemporaryDirectory(prefix="raybatch-faults-", ignore_cleanup_errors=True) as scratch:
+    with (
+        # tasks have half of a worker's part of what is left, however busy the machine is: some fifteen in a render
+        mock.patch.multiple(
+            ranges, TASK_SECONDS=1e6, LAYER_SECONDS=1e6, TASK_TIMES_FILM=0.0, LEAST_SECONDS=LEAST_SECONDS
+        ),
+        mock.patch.object(bands, "BAND_PIXELS", SIZE[0] * SIZE[1] // BANDS),
+        mock.patch.object(connection, "SILENT_SECONDS", SILENT_SECONDS),
+        tempfile.TemporaryDirectory(prefix="raybatch-faults-", ignore_cleanup_errors=True) as scratch,
+    ):
         machines = Machines(Path(scratch))
         try:
             for _ in range(2):

@@ -10,10 +10,9 @@ pytest.importorskip("distributed")
 if not sys.platform.startswith("linux"):
     pytest.skip("stand-ins for machines need Linux", allow_module_level=True)
 
-from testing.cluster_faults.fault_renders import NOTICED_SECONDS, SIZE, _why_not_all, table_of
+from testing.cluster_faults.fault_renders import NOTICED_SECONDS, SIZE, main, table_of, why_not_all
 from testing.cluster_faults.faults import FOR_GOOD, KINDS, STANDS, drawn
 
-from tests.support.command_line import run_script
 from tests.support.under_test import DEVICE
 
 RENDERS = 5
@@ -22,9 +21,7 @@ RENDERS = 5
 @pytest.mark.skipif(DEVICE != "cpu", reason="workers are on the CPU")
 def test_films_of_failing_workers_are_those_of_one_process(tmp_path):
     path = tmp_path / "faults.json"
-    chosen = ("--renders", RENDERS, "--variants", "plain", "--seed", 3, "--json", path)
-    done = run_script("testing/cluster_faults/fault_renders.py", *chosen)
-    assert done.returncode == 0, done.stderr
+    assert main(["--renders", str(RENDERS), "--variants", "plain", "--seed", "3", "--json", str(path)]) == 0
     report = json.loads(path.read_text())
     outcomes = report["outcomes"][len(report["samples"]) :]
     assert len(outcomes) == RENDERS and not any(each["faulty"] for each in outcomes)
@@ -50,7 +47,7 @@ def test_samples_that_are_missing_or_there_twice_are_found():
     frame = [0, 0, *SIZE]
 
     def why(*ranges, count=8, region=frame):
-        return _why_not_all([{"region": region, "first": a, "end": b} for a, b in ranges], count)
+        return why_not_all([{"region": region, "first": a, "end": b} for a, b in ranges], count)
 
     assert why((0, 3), (3, 8)) == []
     assert "3 to 3 of a band are not in the report once" in why((0, 3), (4, 8))[0]
