@@ -42,7 +42,7 @@ RENDER_SECONDS = 1.0  # of a processor that a film takes, about, beside what its
 LEAST_SECONDS = 0.5  # of a task, where it can be: its film and its worker's Python take as long
 SILENT_SECONDS = 3.0  # a worker is left out that was silent for so long
 NOTICED_SECONDS = 3.0  # what happens so long before the end is in the report
-LIMIT_SECONDS = 180.0  # a render that takes longer hangs
+LIMIT_SECONDS = 600.0  # a render that takes longer hangs
 VARIANTS: dict[str, dict[str, Any]] = {
     "plain": {},
     "halves": {"error_estimate": "ON"},
