@@ -159,11 +159,11 @@ class FaultyRenders:
             connection.close()
         outcome.seconds = round(ended - started, 2)
         done = [each for each in faults if each.is_done]
-        outcome.faults = [self._said(each, outcome, started, ended) for each in done]
+        outcome.faults = [self._said(each, done, outcome, started, ended) for each in done]
         self.outcomes.append(outcome)
         return outcome
 
-    def _said(self, fault: Any, outcome: Outcome, started: float, ended: float) -> dict[str, Any]:
+    def _said(self, fault: Any, done: list[Any], outcome: Outcome, started: float, ended: float) -> dict[str, Any]:
         """`fault` as the report of all renders has it, with whether that of its render says what happened."""
         from testing.cluster_faults.faults import ALWAYS_SAID, KINDS
 
@@ -174,8 +174,9 @@ class FaultyRenders:
             for each in outcome.events
         ]
         is_seen = ended - fault.done_at > NOTICED_SECONDS
-        if fault.kind == "result damaged":
-            is_seen = is_seen and machine.damaged > fault.damaged
+        if fault.kind == "result damaged":  # a film that went with its worker is damaged, and nobody sees it
+            is_alone = all(each is fault or each.machine != fault.machine for each in done)
+            is_seen = is_seen and is_alone and machine.damaged > fault.damaged
         if fault.kind in ALWAYS_SAID and is_seen and not any(found):
             outcome.faulty.append(f"the report does not say that a machine was befallen: {fault.kind}, {machine.host}")
         kept = asdict(fault) | {"after": round(fault.done_at - started, 2), "said": any(found)}

@@ -109,10 +109,15 @@ def test_a_worker_that_is_stopped_is_left_out(connection, expected, long_tasks, 
     monkeypatch.setattr(connection_module, "SILENT_SECONDS", 3.0)
     notes = []
     connection._report = notes.append
-    stopped = min(pids(connection).values())
-    os.kill(stopped, signal.SIGSTOP)
+    stopped, seen = min(pids(connection).values()), []
+
+    def on_progress(progress):
+        if progress.stage == "render" and not seen:
+            seen.append(progress)
+            os.kill(stopped, signal.SIGSTOP)
+
     try:
-        film = render(connection)
+        film = render(connection, on_progress=on_progress)
         assert_same_film(film, expected)
         assert [each for each in notes if "is silent" in each]
         assert "WORKER_SILENT" in [each["kind"] for each in film.statistics["cluster"]["events"]]
