@@ -6,7 +6,7 @@ import difflib
 
 from lib.command import UsageError
 
-from studies import adaptive, batching, budgets, cycles, light_sampling, many_lights, sequences, thesis
+from studies import adaptive, batching, budgets, cycles, light_sampling, many_lights, many_workers, sequences, thesis
 from studies.images import environment, textures
 from studies.motion import trees_over_time
 from studies.study import Study
@@ -18,6 +18,7 @@ STUDIES: dict[str, Study] = {
         batching.STUDY,
         light_sampling.STUDY,
         many_lights.STUDY,
+        many_workers.STUDY,
         environment.STUDY,
         sequences.STUDY,
         adaptive.STUDY,

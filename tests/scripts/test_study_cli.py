@@ -124,7 +124,11 @@ class NotedBench:
         self.noted.append(settings)
 
 
-@pytest.mark.parametrize("name", [name for name in STUDIES if name not in ("cycles", "textures", "trees-over-time")])
+# Studies that measure other things than errors of renders, or do so by others
+NOT_RENDERED = ("cycles", "textures", "trees-over-time", "many-workers")
+
+
+@pytest.mark.parametrize("name", [name for name in STUDIES if name not in NOT_RENDERED])
 @pytest.mark.parametrize("is_cuda", [False, True])
 def test_no_render_of_a_study_clamps_light_or_ends_by_itself(name, is_cuda):
     """Errors are compared, and references are what a picture should be: nothing but noise may be in either."""

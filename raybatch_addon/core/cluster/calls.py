@@ -22,6 +22,16 @@ def call(name, *arguments):
     raise ModuleNotFoundError("RayBatch is not installed on this worker: pip install raybatch[cluster]")
 
 
+def keep_copies(dask_scheduler=None):
+    """Have the scheduler leave alone what several workers hold: a film of which it dropped the second copy, as it does
+    with what nobody waits for, would be lost with its worker.
+    """
+    manager = dask_scheduler.extensions.get("amm")
+    for policy in [*getattr(manager, "policies", ())]:
+        if type(policy).__name__ == "ReduceReplicas":
+            manager.policies.discard(policy)
+
+
 async def drop(address, dask_scheduler=None):
     """Have the scheduler go on without the worker at `address`."""
     await dask_scheduler.remove_worker(address=address, stimulus_id="raybatch-silent", close=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import threading
 import time
 import uuid
 from collections.abc import Callable, Iterable
@@ -19,6 +20,7 @@ RESOURCE = "raybatch"
 # How long to wait for a scheduler, at first and where it was lost [s]
 CONNECT_SECONDS = 30.0
 _LOOK_SECONDS = 0.5  # how often workers are looked at
+_TOGETHER_SECONDS = 0.005  # what comes within it is looked at together
 _NOTICED_SECONDS = 1.0  # the end of a scheduler is noticed so long after an error by it
 _TOLD_SECONDS = 10.0  # words come at once, or their worker has ended
 _SECURE_SECONDS = 60.0  # a film that is not copied by then is lost with its worker, if that ends
@@ -60,6 +62,7 @@ class Connection:
         self._looked, self._workers = float("-inf"), list[Worker]()
         self._dropped: set[str] = set()  # addresses of workers that were silent
         self._names = itertools.count()
+        self._something_came = threading.Event()
         self._own = uuid.uuid4().hex[:8]
         self._connect()
 
@@ -67,6 +70,11 @@ class Connection:
     def dashboard(self) -> str:
         """The address of Dask's own pages on what goes on; empty where there are none."""
         return str(getattr(self._client, "dashboard_link", "") or "")
+
+    @property
+    def silent(self) -> set[str]:
+        """Addresses of workers that were left out since nothing was heard of them."""
+        return self._dropped
 
     def close(self) -> None:
         """Leave the cluster, which goes on."""
@@ -77,7 +85,9 @@ class Connection:
             self._client = self._distributed.Client(
                 self._address, timeout=self._seconds, set_as_default=False, direct_to_workers=False
             )
+            self._client.run_on_scheduler(calls.keep_copies)
         except (OSError, TimeoutError, ValueError) as error:
+            self._drop()
             raise ClusterError(
                 f"there is no scheduler at {self._address} ({type(error).__name__}: {error}); start one with `dask "
                 "scheduler`, or name its address"
@@ -139,6 +149,7 @@ class Connection:
                 found = self._client.scheduler_info(n_workers=-1)["workers"]
                 newest = max((each["last_seen"] for each in found.values()), default=0.0)  # by the scheduler's clock
                 silent = {name for name, each in found.items() if newest - each["last_seen"] > SILENT_SECONDS}
+                self._dropped -= found.keys() - silent  # who came back may be silent again
                 for address in silent - self._dropped:
                     self._report(f"the worker {address} is silent; what it was asked for is rendered elsewhere")
                     self._dropped.add(address)
@@ -152,9 +163,9 @@ class Connection:
 
     def submit(self, name: str, *arguments: Any, workers: Iterable[str] | None = None, priority: int = 0, slot=False):
         """The future of `work`'s function `name`, on one of `workers` (addresses or hosts; default: any). With `slot`
-        it takes a worker's slot.
+        it takes a worker's slot. When it is done, `wait` ends.
         """
-        return self._client.submit(
+        future = self._client.submit(
             calls.call,
             name,
             *arguments,
@@ -165,6 +176,14 @@ class Connection:
             resources={RESOURCE: 1} if slot else None,
             pure=False,
         )
+        future.add_done_callback(lambda _: self._something_came.set())
+        return future
+
+    def wait(self, seconds: float) -> None:
+        """Until something that was asked for is there, at most so long."""
+        if self._something_came.wait(seconds):
+            time.sleep(_TOGETHER_SECONDS)  # more may come with it
+            self._something_came.clear()
 
     def send(self, value: Any, worker: str):
         """The future of `value`, in the memory of `worker`."""

@@ -31,6 +31,9 @@ class SampleRange:
     end: int
     band: int = 0
 
+    def __str__(self) -> str:
+        return f"samples {self.first} to {self.end - 1} of band {self.band}"
+
     @property
     def count(self) -> int:
         """How many there are."""

@@ -12,6 +12,7 @@ from ..film import Film
 from . import films
 from .bands import Region, bands_of, film_of_bands
 from .connection import ClusterError, Connection, Worker, told, why_lost
+from .events import ClusterEvents, EventKind
 from .keeping import ClusterKeeper
 from .parts import SceneParts, part_digest
 from .ranges import MergeTree, RangeDeal, SampleRange
@@ -81,6 +82,7 @@ class ClusterRender:
         self.wants_pictures = False  # somebody looks at them
         self.workers: list[Worker] = []
         self.tasks_again = 0  # tasks that were rendered again, or by two
+        self.events = ClusterEvents()
         self.rays = 0  # that were traced
         self._prepared: set[str] = set()  # workers that have kernels and trees
         self.begin()
@@ -93,7 +95,7 @@ class ClusterRender:
         if (stopped := self.rounds.stopped) is not None:  # travels as parts of the scene do
             self._stopped = part_digest(stopped)
             self._parts = replace(self._scene, arrays={**self._scene.arrays, self._stopped: stopped})
-        self._staging = Staging(self._connection, self._parts)
+        self._staging = Staging(self._connection, self._parts, self.events)
         self._deal = RangeDeal(self._keeper.end, self.rounds.end, len(self._bands), like)
         self._again: list[SampleRange] = []
         self._tasks: list[_Task] = []
@@ -107,6 +109,10 @@ class ClusterRender:
 
     def begin_again(self) -> None:
         """What is not here is to be rendered anew: the scheduler that knew of it is gone."""
+        self.events.note("SCHEDULER_LOST", "", "what had not come from workers is rendered again")
+        self._begin_round()
+
+    def _begin_round(self) -> None:
         self.begin(self._deal.sample_seconds)
 
     def close(self) -> None:
@@ -139,12 +145,17 @@ class ClusterRender:
 
     @property
     def tasks_running(self) -> int:
-        """Tasks that workers have of it."""
-        return sum(len(task.futures) for task in self._tasks)
+        """Tasks that workers have of it. One that is done makes room at once, where it is known what samples take:
+        who rendered it is told later.
+        """
+        if self._deal.sample_seconds is None:
+            return sum(len(task.futures) for task in self._tasks)
+        return sum(not each.done() for task in self._tasks for each in task.futures)
 
     def look(self) -> None:
         """See what came; raises `ClusterError`."""
         self.workers = self._connection.workers()
+        self.events.see_workers((each.address for each in self.workers), self._connection.silent)
         self._staging.step(self.workers)
         self._see_lost({each.host for each in self.workers})
         self._see_tasks()
@@ -166,10 +177,12 @@ class ClusterRender:
             running += 1
         for task in sorted(self._tasks, key=lambda each: each.begun):
             # nothing else is left: who is late is helped
-            if running < slots and len(task.futures) == 1 and self._deal.is_late(task.samples, now - task.begun):
+            is_alone = len(task.futures) == 1 and task.done is None
+            if running < slots and is_alone and self._deal.is_late(task.samples, now - task.begun):
                 task.futures.append(self._asked(task.samples, hosts))
                 task.hosts |= hosts
                 self.tasks_again += 1
+                self.events.note("TASK_LATE", str(task.samples), "another worker renders it too")
                 running += 1
 
     def _asked(self, samples: SampleRange, hosts: frozenset[str]) -> Any:
@@ -186,6 +199,7 @@ class ClusterRender:
         for task in [*self._tasks]:
             if not task.hosts & hosts:
                 self._tasks.remove(task)
+                self.events.note("TASK_LOST", str(task.samples), "all machines went that could render it")
                 self._render_again(task.samples, task.futures)
         fetched = self._fetched[0] if self._fetched else []
         for film in [*self._unsafe, *self._films.values(), *fetched]:
@@ -197,6 +211,7 @@ class ClusterRender:
                     self._take(film.samples)
                 else:
                     self._take(film.samples)
+                self.events.note("TASK_LOST", str(film.samples), "its film went with all machines that had it")
                 self._render_again(film.samples, [film.future])
 
     def _render_again(self, samples: SampleRange, futures: list[Any]) -> None:
@@ -234,10 +249,12 @@ class ClusterRender:
     def _fail(self, task: _Task, why: str, kind: str = "") -> None:
         """Have it rendered again; raises `ClusterError` where that would not help."""
         self._tasks.remove(task)
+        if kind and kind not in ("PartMissing", "DamagedFilm"):
+            raise ClusterError(why)  # scene, settings or device are at fault
         if kind == "PartMissing":
             self._staging.again()
-        elif kind and kind != "DamagedFilm":
-            raise ClusterError(why)  # scene, settings or device are at fault
+        what: dict[str, EventKind] = {"PartMissing": "PART_MISSING", "DamagedFilm": "FILM_DAMAGED"}
+        self.events.note(what.get(kind, "TASK_LOST"), str(task.samples), why)
         self._count_failure(task.samples, why)
         self._render_again(task.samples, task.futures)
 
@@ -270,7 +287,7 @@ class ClusterRender:
                 self._add(film)
 
     def _merge(self) -> None:
-        while (pair := self._tree.take_pair(self._is_dealt and not self._tasks and not self._unsafe)) is not None:
+        while (pair := self._tree.take_pair(self._is_dealt and not self._tasks)) is not None:
             earlier, later, rank = pair
             parts = self._films.pop(earlier), self._films.pop(later)
             future = self._connection.submit("merge", *(each.future for each in parts), priority=60)
@@ -300,7 +317,9 @@ class ClusterRender:
                     return
                 self._put_back()
                 film = self._take(error.film.samples)
-                if isinstance(error.__cause__, films.DamagedFilm):
+                is_damaged = isinstance(error.__cause__, films.DamagedFilm)
+                self.events.note("FILM_DAMAGED" if is_damaged else "TASK_LOST", str(film.samples), str(error))
+                if is_damaged:
                     self._count_failure(film.samples, str(error))
                 self._render_again(film.samples, [film.future])
 
@@ -338,7 +357,7 @@ class ClusterRender:
             return
         if received.film is not None and self.wants_pictures:
             self._pictures.append((self._region, received.film.passes))
-        self.begin_again()
+        self._begin_round()
 
     # --- pictures
 

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 from .connection import ClusterError, Connection, Worker, told
+from .events import ClusterEvents
 from .parts import SceneParts
 
 # Parts travel together up to this size, and so many bundles at once are on their way to a machine
 _BUNDLE_BYTES, _AT_ONCE = 1 << 25, 4
 _TRIES = 3
+# A machine that failed so often is left out for so long, where others have the scene: its disk may be full [s]
+LEFT_OUT_SECONDS = 30.0
 
 
 # Digests of parts that travel together
@@ -19,23 +23,30 @@ Bundle = tuple[str, ...]
 class Staging:
     """Brings the parts of one scene to machines as they come. `step` goes on with it, and never waits."""
 
-    def __init__(self, connection: Connection, parts: SceneParts):
-        self._connection, self._parts = connection, parts
+    def __init__(self, connection: Connection, parts: SceneParts, events: ClusterEvents):
+        self._connection, self._parts, self._events = connection, parts, events
         self._asked: dict[str, tuple[str, Any]] = {}  # by host: the worker that was asked, and what its machine lacks
         self._lacking: dict[str, list[Bundle]] = {}  # by host
         self._sending: dict[tuple[str, Bundle], tuple[str, Any]] = {}  # by host and bundle: the worker, and the future
         self._sent: dict[Bundle, Any] = {}  # those in the memory of some worker
         self._failures: dict[str, int] = {}  # by host
+        self._left_out: dict[str, float] = {}  # hosts that cannot keep the scene: until when
+        self._why = ""  # of the last of them
         self.ready: set[str] = set()  # hosts that have all
+        self._was_ready = False  # some host had all: it may come back
 
     def again(self) -> None:
         """A part is not on some machine after all: all are asked anew."""
         self.ready.clear()
 
     def step(self, workers: list[Worker]) -> None:
-        """Look what came, and send what comes next; raises `ClusterError` where a machine cannot keep parts."""
+        """Look what came, and send what comes next; raises `ClusterError` where no machine can keep them."""
         there = {each.address for each in workers}
         self._drop_gone(there)
+        now, hosts = time.monotonic(), {each.host for each in workers if each.slots}
+        self._left_out = {host: end for host, end in self._left_out.items() if now < end}
+        if hosts and hosts <= self._left_out.keys() and not self._was_ready:
+            raise ClusterError(self._why)
         for worker in workers:
             if worker.slots and worker.host not in self.ready and not self._is_under_way(worker.host):
                 digests = sorted(self._parts.arrays)
@@ -49,14 +60,15 @@ class Staging:
         for (host, bundle), (address, future) in [*self._sending.items()]:
             if future.done():
                 del self._sending[host, bundle]
-                if self._result(host, future) is None:
+                if self._result(host, future) is None and host not in self._left_out:
                     self._lacking.setdefault(host, []).append(bundle)
-                self._go_on(host, address)
+                if host not in self._left_out:
+                    self._go_on(host, address)
         if not self._sending:
             self._sent.clear()
 
     def _is_under_way(self, host: str) -> bool:
-        return host in self._asked or host in self._lacking
+        return host in self._asked or host in self._lacking or host in self._left_out
 
     def _go_on(self, host: str, address: str) -> None:
         """Send what `host` lacks, some at a time; it is ready where it lacks nothing."""
@@ -70,6 +82,7 @@ class Staging:
         if not left and not any(each == host for each, _ in self._sending):
             self._lacking.pop(host, None)
             self.ready.add(host)
+            self._was_ready = True
 
     def _bundles(self, digests: list[str]) -> list[Bundle]:
         bundles, own, size = [], list[str](), 0
@@ -85,15 +98,23 @@ class Staging:
         return self._connection.submit(name, *arguments, workers=[worker], priority=100)
 
     def _result(self, host: str, future: Any) -> Any:
-        """What came; None where it failed and is tried again."""
+        """What came; None where it failed, and is tried again or `host` left out."""
         found = told(future)
         if not isinstance(found, dict):
             return found
         why = found["text"]
         self._failures[host] = self._failures.get(host, 0) + 1
         if self._failures[host] >= _TRIES:
-            raise ClusterError(f"{host} cannot keep the scene: {why}")
+            self._leave_out(host, why)
         return None
+
+    def _leave_out(self, host: str, why: str) -> None:
+        """Ask nothing of `host` for a while."""
+        self._why = f"{host} cannot keep the scene: {why}"
+        self._events.note("MACHINE_LEFT_OUT", host, self._why)
+        self._left_out[host] = time.monotonic() + LEFT_OUT_SECONDS
+        self._failures.pop(host)
+        self._lacking.pop(host, None)
 
     def _drop_gone(self, there: set[str]) -> None:
         """Forget what was asked of workers that are gone: another one of their machine is asked anew."""

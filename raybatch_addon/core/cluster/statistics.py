@@ -58,5 +58,7 @@ def cluster_statistics(
                 for each in shares
             ],
             "tasks_again": render.tasks_again,
+            "events": render.events.all,
+            "events_left_out": render.events.left_out,
         },
     }

@@ -64,7 +64,7 @@ class RendersUnderWay:
     def _run(self) -> None:
         try:
             while self._goes_on():
-                time.sleep(_POLL_SECONDS)
+                self._connection.wait(_POLL_SECONDS)
         except BaseException as error:  # nobody may wait for what does not come
             with self._lock:
                 left, self._all, self._thread = self._all, [], None

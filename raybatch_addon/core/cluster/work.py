@@ -36,6 +36,7 @@ _SCENES_KEPT = 2
 _lock = threading.Lock()  # a worker renders one range at a time
 _session: Session | None = None
 _scenes: dict[str, tuple[Scene, RenderSettings]] = {}  # by digest of the recipe, the last ones
+_identities: dict[str, FilmIdentity] = {}  # of their films: to digest a scene takes as long as it is large
 
 
 def part_store() -> PartStore:
@@ -76,7 +77,11 @@ def render(recipe: str, digest: str, band: Sequence[int], first: int, count: int
         # when the render ends is decided where all samples are
         own = settings.replace(error_target=0.0, error_estimate="ON") if settings.error_target else settings
         film = session.render(scene, own, sample_first=first, after=after)
-        identity = replace(FilmIdentity.of(whole, settings, session.device), region=(x0, y0, x1, y1))
+        if digest not in _identities:
+            _identities[digest] = FilmIdentity.of(whole, settings, session.device)
+        identity = _identities[digest]
+        own_settings = {**identity.settings, "sample_count": count}
+        identity = replace(identity, region=(x0, y0, x1, y1), settings=own_settings)
         kept = films.kept_of(film, identity, first, settings.sample_order)
         halves = films.packed(kept)
         statistics = film.statistics
@@ -114,7 +119,9 @@ def picture(sent: films.Sent) -> dict[str, np.ndarray]:
 def _scene(recipe: str, digest: str) -> tuple[Scene, RenderSettings]:
     if digest not in _scenes:
         while len(_scenes) >= _SCENES_KEPT:
-            del _scenes[next(iter(_scenes))]
+            first = next(iter(_scenes))
+            del _scenes[first]
+            _identities.pop(first, None)
         scene, settings = scene_of(recipe, part_store().load)
         threads = os.environ.get(WORKER_THREADS) or "0"
         if not threads.isdecimal():

@@ -100,6 +100,8 @@ def test_workers_that_are_killed_lose_nothing(connection, expected, long_tasks, 
         over.set()
         thread.join()
     assert_same_film(film, expected)
+    gone = [each["who"] for each in film.statistics["cluster"]["events"] if each["kind"] == "WORKER_GONE"]
+    assert {*gone} <= {*killed}
     wait_for(lambda: len(connection.workers()) == 2)
 
 
@@ -107,11 +109,18 @@ def test_a_worker_that_is_stopped_is_left_out(connection, expected, long_tasks, 
     monkeypatch.setattr(connection_module, "SILENT_SECONDS", 3.0)
     notes = []
     connection._report = notes.append
-    stopped = min(pids(connection).values())
-    os.kill(stopped, signal.SIGSTOP)
+    stopped, seen = min(pids(connection).values()), []
+
+    def on_progress(progress):
+        if progress.stage == "render" and not seen:
+            seen.append(progress)
+            os.kill(stopped, signal.SIGSTOP)
+
     try:
-        assert_same_film(render(connection), expected)
+        film = render(connection, on_progress=on_progress)
+        assert_same_film(film, expected)
         assert [each for each in notes if "is silent" in each]
+        assert "WORKER_SILENT" in [each["kind"] for each in film.statistics["cluster"]["events"]]
     finally:
         with contextlib.suppress(ProcessLookupError):  # its nanny ended it
             os.kill(stopped, signal.SIGKILL)
@@ -137,6 +146,18 @@ def test_a_film_that_is_damaged_is_rendered_again(connection, expected, long_tas
     film = render(connection)
     assert_same_film(film, expected)
     assert spoiled and film.statistics["cluster"]["tasks_again"] >= 1
+    assert "FILM_DAMAGED" in [each["kind"] for each in film.statistics["cluster"]["events"]]
+
+
+def test_a_second_copy_of_a_film_stays(connection):
+    """Dask's scheduler drops copies that nobody asked for; these would be lost with their worker then."""
+    future = connection._client.submit(bytes, 1000, pure=False)
+    future.result()
+    connection.secure(future)
+    for _ in range(3):
+        connection._client.amm.run_once()
+    (holders,) = connection._client.who_has([future]).values()
+    assert len(holders) == 2
 
 
 def test_a_film_that_is_always_damaged_is_an_error(connection, monkeypatch):

@@ -1,0 +1,62 @@
+"""What is simulated: clusters of 8, 64 and 512 GPUs, stills and an animation; and what was measured before, by which
+the simulation is judged.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from studies.many_workers.model import Job, Site
+
+GPUS = (8, 64, 512)
+BANDWIDTHS = (10, 25, 100)  # of a machine [Gbit/s]
+SCENE_BYTES = 1e9  # assumed: a large scene
+KERNEL_SECONDS = 3.0  # assumed: a worker loads kernels that were compiled before
+BUILD_SECONDS = 1.0  # assumed: trees, images and tables, by each worker for each frame
+FRAMES = 48
+
+# By name: a still in 3840 x 2160 of so many seconds on one GPU
+STILLS = {"still, 60 s": 60.0, "still, 10 min": 600.0, "still, 5 h": 18_000.0}
+ANIMATION = f"animation, {FRAMES} frames of 60 s"
+
+# Speedups that were measured on H100s of one host (docs/devices.md): seconds of one GPU, GPUs, and how much sooner.
+# Seconds of one are known for the demo at 1,024 samples; the BMW's are assumed, and matter little
+MEASURED = (
+    ("demo, 1024 samples", 45.7, 2, 1.94),
+    ("demo, 1024 samples", 45.7, 4, 3.64),
+    ("demo, 256 samples", 11.4, 2, 1.96),
+    ("demo, 256 samples", 11.4, 4, 3.69),
+    ("BMW, 1024 samples", 180.0, 2, 2.05),
+    ("BMW, 1024 samples", 180.0, 4, 3.62),
+    ("BMW, 256 samples", 45.0, 2, 2.03),
+    ("BMW, 256 samples", 45.0, 4, 3.81),
+)
+FITTED = 1  # the row of it that the serial share was taken from
+# Two workers on two cores beside one process with two threads, seconds of this and of them: a sample takes a worker
+# 1.16 times as long, and the workers start for six seconds
+LOCAL = ((32.0, 42.0), (95.0, 127.0))
+LOCAL_SAMPLE, LOCAL_START = 1.16, 6.0
+
+
+def site(gpus: int, gigabits: float = 25.0) -> Site:
+    """A cluster of machines of eight GPUs, each a worker's."""
+    return Site(gpus, gpus_machine=8, bandwidth=gigabits * 1e9 / 8)
+
+
+def still(seconds: float, is_cold: bool) -> Job:
+    """One picture; a cluster that is cold has nothing of the scene, and no kernels are loaded."""
+    cold = Job(seconds, scene_bytes=SCENE_BYTES, kernel_seconds=KERNEL_SECONDS, build_seconds=BUILD_SECONDS)
+    return cold if is_cold else replace(cold, scene_bytes=0.0, kernel_seconds=0.0)
+
+
+def animation(is_cold: bool = True) -> Job:
+    """Frames of which machines get what changed."""
+    return replace(still(60.0, is_cold), frames=FRAMES)
+
+
+def local_job(seconds: float) -> tuple[Site, Job]:
+    """Two workers on two cores, and a picture of 640 x 360 pixels that takes one process with both `seconds`: a worker
+    has one core, and takes `LOCAL_SAMPLE` times as long for a sample as the process would with it.
+    """
+    job = Job(2 * seconds * LOCAL_SAMPLE, samples=256, width=640, height=360, kernel_seconds=0.0)
+    return Site(2, gpus_machine=2, spread=0.0), job

@@ -1,0 +1,1 @@
+"""Renders on a cluster whose workers are killed, stopped, slowed, cut off, or damage what they send."""

@@ -1,0 +1,95 @@
+"""Parts of a scene on their way to machines of which some cannot keep them, and what a render says befell it."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from raybatch_addon.core.cluster import events as events_module
+from raybatch_addon.core.cluster import staging as staging_module
+from raybatch_addon.core.cluster.connection import ClusterError, Worker
+from raybatch_addon.core.cluster.events import ClusterEvents
+from raybatch_addon.core.cluster.parts import SceneParts
+from raybatch_addon.core.cluster.staging import Staging
+
+WORKERS = [Worker(f"tcp://{host}:1", host, 1) for host in ("a", "b")]
+PARTS = SceneParts("{}", {"one": np.zeros(3), "two": np.ones(4)})
+
+
+class Cluster:
+    """A connection to workers that answer at once; those of `full` machines cannot keep a part."""
+
+    def __init__(self, *full):
+        self.full, self.asked = set(full), []
+
+    def submit(self, name, *_arguments, workers, priority):
+        host = workers[0].removeprefix("tcp://").removesuffix(":1")
+        self.asked.append((name, host))
+        found = ["one", "two"] if name == "lacks" else 2
+        if name == "put" and host in self.full:
+            found = {"error": "StoreError", "text": "No space left on device"}
+        return SimpleNamespace(done=lambda: True, status="finished", result=lambda timeout: found)
+
+    def send(self, arrays, _worker):
+        return arrays
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    now = SimpleNamespace(seconds=0.0)
+    monkeypatch.setattr(staging_module.time, "monotonic", lambda: now.seconds)
+    return now
+
+
+def steps(staging, workers=WORKERS, count=12):
+    for _ in range(count):
+        staging.step(workers)
+
+
+def test_a_machine_that_cannot_keep_parts_is_left_out_for_a_while(clock):
+    cluster, events = Cluster("b"), ClusterEvents()
+    staging = Staging(cluster, PARTS, events)
+    steps(staging)
+    assert staging.ready == {"a"}
+    assert cluster.asked.count(("put", "b")) == 3
+    (event,) = events.all
+    assert (event["kind"], event["who"]) == ("MACHINE_LEFT_OUT", "b") and "No space left" in event["text"]
+    cluster.full.clear()
+    steps(staging)
+    assert staging.ready == {"a"}
+    clock.seconds = staging_module.LEFT_OUT_SECONDS
+    steps(staging)
+    assert staging.ready == {"a", "b"}
+
+
+def test_no_machine_that_can_keep_parts_is_an_error(clock):
+    staging = Staging(Cluster("a", "b"), PARTS, ClusterEvents())
+    with pytest.raises(ClusterError, match="cannot keep the scene: No space left on device"):
+        steps(staging)
+
+
+def test_a_machine_that_had_the_scene_may_come_back(clock):
+    """It went, and the one that is left cannot keep the scene: the render waits, as where there is no worker."""
+    staging = Staging(Cluster("b"), PARTS, ClusterEvents())
+    steps(staging, WORKERS[:1])
+    steps(staging, WORKERS[1:])
+    assert staging.ready == {"a"}
+
+
+def test_workers_that_go_and_come_are_noted():
+    events = ClusterEvents()
+    for addresses, silent in ((["a", "b"], []), (["a"], []), (["a", "c"], []), (["c"], ["a"]), (["c"], ["a"])):
+        events.see_workers(addresses, silent)
+    assert [(each["kind"], each["who"]) for each in events.all] == [
+        ("WORKER_GONE", "b"),
+        ("WORKER_CAME", "c"),
+        ("WORKER_SILENT", "a"),
+    ]
+
+
+def test_a_report_has_the_first_events_and_the_number_of_others(monkeypatch):
+    monkeypatch.setattr(events_module, "EVENTS_MOST", 3)
+    events = ClusterEvents()
+    for number in range(5):
+        events.note("TASK_LOST", str(number), "its worker ended")
+    assert [each["who"] for each in events.all] == ["0", "1", "2"] and events.left_out == 2
