@@ -41,6 +41,7 @@ class Program:
     # of a render: answers that rays give to any program, in the last registers; and what asks for them
     answer_count: int = 0
     requests: Program | None = None
+    fetches: Program | None = None  # what asks for tiles of images that are not whole on the device
 
     @property
     def may_emit(self) -> bool:
