@@ -215,11 +215,10 @@ class Session:
         first.kept.is_sound = first.kept.is_known and whole is scene
         displaced = first.displaced(whole, settings, parts, on_progress, lambda: bool(cancelled()))
         parts.enter("check")
-        was_cancelled = displaced is None
         check_samples(settings, sample_first)
-        derived = first.kept.derived if not was_cancelled else lambda _name, _settings, make: make()
+        derived = first.kept.derived if displaced is not None else lambda _name, _settings, make: make()
         sharing = self._sharing(settings.sample_count * whole.frame.pixel_count)
-        budget = derived("image budget", settings, lambda: least_image_budget(sharing, settings))
+        budget = derived("budget", settings, lambda: least_image_budget(sharing, settings))
         checked = prepared_scene(whole if displaced is None else displaced, settings, budget)
         size = derived("size", settings, lambda: GeometrySize.of(checked))
         features = derived("features", settings, lambda: derive_features(checked, settings))
@@ -239,7 +238,7 @@ class Session:
             sample_first=sample_first,
             on_tile=on_tile,
             on_progress=on_progress,
-            cancelled=lambda: was_cancelled or cancelled(),
+            cancelled=lambda: displaced is None or cancelled(),
             watchers=snapshot_watchers(observers, settings.sample_count),
             parts=parts,
             warnings=warnings,

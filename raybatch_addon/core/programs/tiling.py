@@ -2,9 +2,9 @@
 
 A scene is rewritten for a render whose images together take more than their budget. Images that surfaces alone look up
 come in tiles then (`TiledImage`), since a path can wait before a surface is shaded; others are held whole. Each look-up
-of an image in tiles becomes an op that finds them. What its coordinates depend on, and an op in front of it that asks for
-its tiles, becomes a program of its own without closures (`Program.fetches`), which `wavefront/textures` runs first: until
-no tile is missing nothing of the program itself is run.
+of an image in tiles becomes an op that finds them. What its coordinates depend on, and an op in front of it that asks
+for its tiles, becomes a program of its own without closures (`Program.fetches`), which `wavefront/textures` runs first:
+until no tile is missing nothing of the program itself is run.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ _NAMED_MOST = 4  # images that a warning names
 
 
 def tiled_scene(scene: Scene, budget: int | None, slot_bytes: int) -> Scene:
-    """`scene` with images in tiles that fill slots of `slot_bytes`, where all take more than `budget` bytes on the device
-    (None: no limit), as far as surfaces alone look them up. Else, and where there are none, it is as it was.
+    """`scene` with images in tiles that fill slots of `slot_bytes`, where all take more than `budget` bytes on the
+    device (None: no limit), as far as surfaces alone look them up. Else, and where there are none, it is as it was.
     """
     if budget is None or device_bytes_of(scene.images) <= budget:
         return scene

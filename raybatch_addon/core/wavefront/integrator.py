@@ -53,12 +53,8 @@ class TileIntegrator:
         self._scene, self._frame, self._marks, self.device = scene, frame, marks, device
         self._layout = layout_of(frame.passes, frame.transparent)
         self._arrays = arrays = PathArrays.allocate(scene, self._layout, settings, count)
-        self._paths, self._rays, self._catchers, self.volumes = (
-            arrays.paths,
-            arrays.rays,
-            arrays.catchers,
-            arrays.volumes,
-        )
+        self._paths, self._rays = arrays.paths, arrays.rays
+        self._catchers, self.volumes = arrays.catchers, arrays.volumes
         self._media = state_of(self.volumes)
         self._shadow_kind = RayKind.TRANSPARENT_SHADOW if scene.transparent_shadows else RayKind.OCCLUSION
         self._lists = PathLists(count, device, walks=features.subsurface)
@@ -79,7 +75,8 @@ class TileIntegrator:
         if key := scene.hits_sorted_by(settings):
             data = scene.data
             self._hit_order = HitOrder(count, key, data.geometry, data.materials.records, device, self._timer)
-        self.textures = TileFetcher(scene, count, tile_slots) if tile_slots else None  # None: all images are whole
+        # None: all images are whole
+        self.textures = TileFetcher(scene, count, tile_slots, self._timer) if tile_slots else None
         self._data = self.textures.data if self.textures else scene.data
         self._tracer: Tracer | None = None  # there is nothing to hit
         if scene.tree:
@@ -323,12 +320,9 @@ class TileIntegrator:
             done = self._lists.end_turn(self._paths.status, self._alive, by_bounce, generates)
         with self._timer.stage("film"):
             self._launch_over(self._kernels.accumulate, done, work, self._paths, film)
-        if self.textures:
-            self.textures.end_turn()
         lengths = self._lists.counts.fetch()
         if self.textures:
-            with self._timer.stage("copy"):
-                self.textures.bring()
+            self.textures.bring()
         if lengths[Length.MATTES]:
             self._mattes = self._mattes.plus(self._film_tiles.mattes_aside(lengths[Length.MATTES]))
         if self._film_tiles.take_spill(film, lengths[Length.SPILL]):

@@ -1,8 +1,8 @@
 """Tiles of images for the loop of one worker: who asks for them, who waits, and when they are brought.
 
-A turn has three parts: shadow rays that came back, or wait, are looked at, and go on where all of their tiles are there;
-so do paths at surfaces, behind all stages that come before a surface is shaded; and at the end of the turn the tiles are
-brought that were missing.
+A turn has three parts: shadow rays that came back, or wait, are looked at, and go on where all of their tiles are
+there; so do paths at surfaces, behind all stages that come before a surface is shaded; and at the end of the turn the
+tiles are brought that were missing.
 
 Some ray always goes on: among those that wait that of the least slot leads the next turn, in which all of its tiles are
 marked, and stay or come before all others. A pool has slots for all that one ray may need, so the leader's are there a
@@ -15,6 +15,7 @@ from __future__ import annotations
 import warp as wp
 
 from ...device.launches import RepeatedLaunches
+from ...measure.timing import NoTimer, StageTimer
 from ...rays import RayList, Rays
 from ..path_lists import PathLists
 from ..rays import Paths
@@ -31,11 +32,11 @@ from .state import COUNTS, LEADER, LOOKED, NEXT_LEADER, NOBODY, WAITED, WAITING_
 class TileFetcher:
     """Lets the rays of one worker wait for tiles of images."""
 
-    def __init__(self, scene: DeviceScene, path_count: int, slots: int):
+    def __init__(self, scene: DeviceScene, path_count: int, slots: int, timer: StageTimer | NoTimer):
         """For `path_count` paths in `scene`, whose tiles have so many `slots`."""
         assert scene.images.tiled and scene.fetches
         device, source = scene.device, scene.images.tiled
-        self._device, self._path_count = device, path_count
+        self._device, self._path_count, self._timer = device, path_count, timer
         self._pool = TilePool(source, slots)
         self._launches = RepeatedLaunches(device)
         self._surfaces, self._shadows, *_ = fetch_kernels(scene.features, scene.shading)
@@ -91,14 +92,11 @@ class TileFetcher:
         threads = stage_thread_count(bound, self._device)
         seen = self.data, self._waits, work, limits, paths, rays
         self._launch(self._surfaces, threads, *seen, met.slots, met.count)
+        wp.copy(self._counted, self._waits.counts)  # of the turn: it is read when the device has come to its end
         return lists.back(paths.status, bound)
 
-    def end_turn(self) -> None:
-        """Bring the counts of the turn to the host, behind all that was launched."""
-        wp.copy(self._counted, self._waits.counts)
-
     def bring(self) -> None:
-        """Bring tiles for rays that wait, once the counts have arrived."""
+        """At the end of a turn, when the device has done what was launched: bring tiles for rays that wait."""
         counts = self._counted.numpy()
         self._looked += int(counts[LOOKED])
         self._waited += int(counts[WAITED])
@@ -106,7 +104,8 @@ class TileFetcher:
         if counts.any():
             self._waits.counts.zero_()
         if self._waiting:
-            self._pool.bring()
+            with self._timer.stage("copy"):
+                self._pool.bring()
             leader = self._waits.leader
             wp.copy(leader, leader, dest_offset=LEADER, src_offset=NEXT_LEADER, count=1)
             leader[NEXT_LEADER : NEXT_LEADER + 1].fill_(NOBODY)

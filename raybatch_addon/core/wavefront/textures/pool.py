@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -43,6 +44,20 @@ class TileTotals:
     waited: int = 0  # times that it had to wait
     lost: int = 0  # look-ups that found no tile: a fault
 
+    def report(self) -> dict[str, Any]:
+        """For the statistics (see docs/statistics.md)."""
+        share = self.waited / self.looked if self.looked else 0.0
+        return {**dataclasses.asdict(self), "seconds": round(self.seconds, 6), "waited_share": round(share, 6)}
+
+    def warnings(self) -> list[str]:
+        """A fault, where there is one."""
+        if not self.lost:
+            return []
+        return [
+            f"{self.lost:,} look-ups of images found a tile that was not there, and are black; this is a fault, please "
+            "report the scene"
+        ]
+
     def merge(self, other: TileTotals) -> TileTotals:
         """Both together, of the same images."""
         merged = {
@@ -52,17 +67,17 @@ class TileTotals:
 
 
 def slots_of(source: TileSource, budget: int, workers: int, least: int) -> int:
-    """Slots of each of `workers`, of `budget` bytes together; at most one for each tile. Raises `OutOfMemoryError` where
-    they are fewer than `least`, which one path may need at once.
+    """Slots of each of `workers`, of `budget` bytes together; at most one for each tile. Raises `OutOfMemoryError`
+    where they are fewer than `least`, which one path may need at once.
     """
-    slots = min(max(budget, 0) // workers // source.slot_bytes, source.tile_count)
-    if slots < min(least, source.tile_count):
+    there, least = max(budget, 0), min(least, source.tile_count)
+    slots = min(there // workers // source.slot_bytes, source.tile_count)
+    if slots < least:
         needed = least * workers * source.slot_bytes
         raise OutOfMemoryError(
-            f"texture_budget leaves {max(budget, 0):,} bytes for tiles of images, and a path may need {least} of "
-            f"{source.slot_bytes:,} bytes at once, for each of {workers} worker{'s' * (workers > 1)}: {needed:,} bytes; "
-            f"raise texture_budget by {needed - max(budget, 0):,} bytes, lower texture_tile_size or thread_count, or set "
-            "texture_budget to 0"
+            f"texture_budget leaves {there:,} bytes for tiles of images, and {workers} worker{'s'[: workers - 1]} need "
+            f"{needed:,} at least, for {least} tiles of {source.slot_bytes:,} bytes that one path may read at once; "
+            f"raise it by {needed - there:,}, lower texture_tile_size or thread_count, or set it to 0"
         )
     return slots
 

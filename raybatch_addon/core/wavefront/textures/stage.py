@@ -52,8 +52,9 @@ class FetchFeatures(VertexFeatures):
 
 @functools.cache
 def make_fetch(features: FetchFeatures) -> wp.Function:
-    """Function (waits, first: int, point, footprint: vec2, slot: int) -> bool: whether tiles are missing for the program
-    at word `first`. `footprint`: what stands in the registers for it, where images are filtered; 0 where nothing is.
+    """Function (waits, first: int, point, footprint: vec2, slot: int) -> bool: whether tiles are missing for the
+    program at word `first`. `footprint`: what stands in the registers for it, where images are filtered; 0 where
+    nothing is.
     """
     programs = features.fetch_program
     run = make_run(programs)

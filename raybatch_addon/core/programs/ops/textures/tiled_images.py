@@ -68,9 +68,9 @@ def tiled_image_box(data: NodeData, stack: wp.array(dtype=float), pc: int, point
 def tiled_want(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
     """The tiles that `tiled_image` needs: how many tiles are missing so far.
 
-    Operands: image, `Interpolation`, `Extension`, `Projection`, whether the coordinates depend on other look-ups, level,
-    coordinates, what to do (`tiled/look_up.py`), how many were missing before. Where coordinates are not known yet
-    nothing is asked for.
+    Operands: image, `Interpolation`, `Extension`, `Projection`, whether the coordinates depend on other look-ups,
+    level, coordinates, what to do (`tiled/look_up.py`), how many were missing before. Where coordinates are not known
+    yet nothing is asked for.
     """
     missing = number(data, stack, pc + 9)
     if data.code[pc + 5] == 0 or missing == 0.0:

@@ -30,8 +30,8 @@ from ..textures import (
 # Bits of `ImageEntry.texels` of a picture in tiles: `Texels`, and above it how many bits of a column and of a row are
 # those within a tile. Of other pictures these are 0
 COLUMN_SHIFT, ROW_SHIFT, KIND_MASK = 8, 16, 255
-# Marks of a tile: how often paths that wait need it, whether a path that did not wait read it, and whether the path that
-# is to go on next needs it
+# Marks of a tile: how often paths that wait need it, whether a path that did not wait read it, and whether the path
+# that is to go on next needs it
 WANTED, SEEN, PINNED, MARKS = 0, 1, 2, 3
 # What is done with the tiles of a look-up: note that they are read, that a path waits for them, or that it is the next
 SEE, WANT, PIN = 0, 1, 2
