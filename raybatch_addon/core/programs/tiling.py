@@ -10,10 +10,11 @@ until no tile is missing nothing of the program itself is run.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 
+from ..errors import OutOfMemoryError
 from ..host_memory import size_text
 from ..scene.description import Image, Scene
 from ..scene.notice import Notice, Weight
@@ -47,9 +48,12 @@ _TILES_ACROSS = {Interpolation.CLOSEST: 1, Interpolation.LINEAR: 2, Interpolatio
 _NAMED_MOST = 4  # images that a warning names
 
 
-def tiled_scene(scene: Scene, budget: int | None, slot_bytes: int) -> Scene:
+def tiled_scene(scene: Scene, budget: int | None, slot_bytes: int, is_asked: bool = False) -> Scene:
     """`scene` with images in tiles that fill slots of `slot_bytes`, where all take more than `budget` bytes on the
     device (None: no limit), as far as surfaces alone look them up. Else, and where there are none, it is as it was.
+
+    `is_asked`: the budget is that of the setting; then it raises `OutOfMemoryError` where images that have to be whole
+    take more. Else these are named by a warning, and are made smaller.
     """
     if budget is None or device_bytes_of(scene.images) <= budget:
         return scene
@@ -58,7 +62,14 @@ def tiled_scene(scene: Scene, budget: int | None, slot_bytes: int) -> Scene:
     rest = device_bytes_of([image for i, image in enumerate(scene.images) if i not in tiled])
     warnings = scene.warnings
     if rest > budget:
-        warnings = (*warnings, _held_too_large(scene, held, rest, budget))
+        why = f"images that cannot be fetched tile by tile ({_named(scene, held)})"
+        if is_asked:
+            raise OutOfMemoryError(
+                f"texture_budget is {budget:,} bytes, and this scene needs {rest:,} at least, for {why}; raise it, or "
+                "set it to 0"
+            )
+        text = f"{why} take {size_text(rest)}, more than the {size_text(budget)} that there are for images"
+        warnings = (*warnings, Notice(text, Weight.REPLACED, remedy="make these images smaller"))
     if not tiled:
         return dataclasses.replace(scene, warnings=warnings)
     programs = {id(m.program): m.program for m in scene.materials if m.program is not None}
@@ -198,12 +209,8 @@ def _in_tiles(image: Image, slot_bytes: int) -> TiledImage:
     return TiledImage(image.name, image.pixels, image.encoding, image.tiles, levels, slot_bytes)
 
 
-def _held_too_large(scene: Scene, held: dict[int, str], rest: int, budget: int) -> Notice:
-    largest: Sequence[int] = sorted(held, key=lambda i: -device_bytes_of([scene.images[i]]))[:_NAMED_MOST]
-    names = ", ".join(f"“{scene.images[i].name}” ({held[i]} looks it up)" for i in largest) or "many small ones"
-    return Notice(
-        f"images that cannot be fetched tile by tile take {size_text(rest)}, more than their budget of "
-        f"{size_text(budget)}: {names}",
-        Weight.REPLACED,
-        remedy="raise texture_budget, or make these images smaller",
-    )
+def _named(scene: Scene, held: dict[int, str]) -> str:
+    """The largest images that have to be whole, and why."""
+    there = [i for i in held if 0 <= i < len(scene.images)]
+    largest = sorted(there, key=lambda i: -device_bytes_of([scene.images[i]]))[:_NAMED_MOST]
+    return ", ".join(f"“{scene.images[i].name}”, of {held[i]}" for i in largest) or "small ones"

@@ -113,7 +113,7 @@ def _chosen(features: SceneFeatures, shading: SceneFeatures, is_cuda: bool, out_
         accumulate=accumulate_kernel(layout),
         resolve=resolve_kernel(layout),
         catchers=CATCHER_KERNELS if features.catchers else (),
-        textures=fetch_kernels(features, shading),
+        textures=fetch_kernels(features, shading, is_cuda),
     )
 
 

@@ -127,12 +127,15 @@ class ImageCache:
     def upload(self, images: Sequence[Image], device, budget: int | None = None) -> UploadedImages:
         """The table of `images` on `device`.
 
-        Pictures that are not in tiles are made smaller until all of them fit in `budget` bytes (None: no limit), as far
-        as that can go. Texels that are not finite become black. The warnings name the images of both.
+        Pictures are made smaller until all of them fit in `budget` bytes (None: no limit), as far as that can go. Where
+        some are in tiles, the others have half of it. Texels that are not finite become black. The warnings name the
+        images of both.
         """
         device = wp.get_device(device)
         done = UploadedImages(ImageTable())
         wanted = list(_wanted(images, done.warnings))
+        if budget is not None and any(each and each.slot_bytes for each in wanted):
+            budget //= 2  # the other half is for tiles
         halvings = _halvings(wanted, budget)
         entries, tiles, arrays = self._entries(images, wanted, halvings, device, done)
         done.table.tiles = wp.array(tiles, dtype=int, device=device)

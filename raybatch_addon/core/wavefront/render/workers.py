@@ -98,7 +98,7 @@ def make_workers(
     made.path_bytes = each = path_bytes(scene, frame, settings, asked)
     layout, slots = layout_of(frame.passes, frame.transparent), 0
     if scene.images.tiled:
-        slots = slots_of(scene.images.tiled, scene.tile_budget, workers, scene.tiles_least)
+        slots = slots_of(scene.images.tiled, scene.image_budget, scene.images.bytes, workers, scene.tiles_least)
     # sums of finished tiles stay on a CUDA device until the film is asked for them
     tile_bytes = (sum(areas) if device.is_cuda else max(areas)) * (layout.count * WINDOW_DIGITS + 1) * 8
     if settings.half_count == 2:

@@ -71,7 +71,7 @@ class DeviceScene:
     volumes: UploadedVolumes | None = None  # None: there are none
     splits: Choice | None = None  # whether the tree splits triangles, where that is not as planned
     fetches: NodeData | None = None  # programs that ask for tiles of images; None: all images are whole
-    tile_budget: int = 0  # for tiles of images, of all workers together [bytes]
+    image_budget: int = 0  # for all images, where some are in tiles [bytes]
     tiles_least: int = 0  # that one path may need at once
 
     @staticmethod
@@ -98,7 +98,8 @@ class DeviceScene:
         data = SceneData()
         built = treelets = None
         passing: list[Program | None] = []
-        budget = request.settings.texture_budget or cache.image_budget(device)
+        # what has to be whole is never made smaller for a budget that was asked for: that would change the picture
+        budget = None if request.settings.texture_budget else cache.image_budget(device)
         images = cache.images.upload(scene.images, device, budget)
         fetches, fetching = None, [each.program and each.program.fetches for each in scene.materials]
         if features.surfaces:
@@ -199,7 +200,7 @@ class DeviceScene:
             hit_bins=max(material_bins(scene.materials), default=0) + 1,
             splits=_splits_of(built, request.plan) if isinstance(built, BuiltTree) else None,
             fetches=fetches,
-            tile_budget=(budget or 0) - images.bytes,
+            image_budget=request.settings.texture_budget or budget or 0,
             tiles_least=tiles_at_once(fetching),
         )
 

@@ -165,8 +165,8 @@ class SceneCache:
 
         @functools.cache
         def images() -> UploadedImages:  # held until all is displaced: the table has addresses alone
-            budget = asked or self.image_budget(device)
-            return self.images.upload(images_of_displacement(scene, budget), device, budget)
+            budget = self.image_budget(device)
+            return self.images.upload(images_of_displacement(scene, asked or budget), device, None if asked else budget)
 
         return self._displaced.displaced(scene, lambda: images().table, device, move)
 

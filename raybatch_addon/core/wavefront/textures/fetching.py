@@ -39,7 +39,7 @@ class TileFetcher:
         self._device, self._path_count, self._timer = device, path_count, timer
         self._pool = TilePool(source, slots)
         self._launches = RepeatedLaunches(device)
-        self._surfaces, self._shadows, *_ = fetch_kernels(scene.features, scene.shading)
+        self._surfaces, self._shadows, *_ = fetch_kernels(scene.features, scene.shading, device.is_cuda)
         # shadow rays that any hit ends look up nothing
         self.holds_shadows = bool(self._shadows) and scene.transparent_shadows
         self.data: SceneData = scene.data_with(self._pool.table)  # for the worker's stages

@@ -66,18 +66,19 @@ class TileTotals:
         return TileTotals(**{**merged, "tiles": self.tiles, "slot_bytes": self.slot_bytes})
 
 
-def slots_of(source: TileSource, budget: int, workers: int, least: int) -> int:
-    """Slots of each of `workers`, of `budget` bytes together; at most one for each tile. Raises `OutOfMemoryError`
-    where they are fewer than `least`, which one path may need at once.
+def slots_of(source: TileSource, budget: int, whole: int, workers: int, least: int) -> int:
+    """Slots of each of `workers`, of `budget` bytes for all of them and for `whole` bytes of images that are not in
+    tiles; at most one for each tile. Raises `OutOfMemoryError` where they are fewer than `least`, which one path may
+    need at once.
     """
-    there, least = max(budget, 0), min(least, source.tile_count)
-    slots = min(there // workers // source.slot_bytes, source.tile_count)
+    least = min(least, source.tile_count)
+    slots = min(max(budget - whole, 0) // workers // source.slot_bytes, source.tile_count)
     if slots < least:
-        needed = least * workers * source.slot_bytes
         raise OutOfMemoryError(
-            f"texture_budget leaves {there:,} bytes for tiles of images, and {workers} worker{'s'[: workers - 1]} need "
-            f"{needed:,} at least, for {least} tiles of {source.slot_bytes:,} bytes that one path may read at once; "
-            f"raise it by {needed - there:,}, lower texture_tile_size or thread_count, or set it to 0"
+            f"texture_budget is {budget:,} bytes, and this scene needs {whole + least * workers * source.slot_bytes:,} "
+            f"at least: {whole:,} for images that are not in tiles, and for each of {workers} workers {least} tiles of "
+            f"{source.slot_bytes:,}, which one path may read at once; raise it, or lower texture_tile_size or "
+            "thread_count, or set it to 0"
         )
     return slots
 

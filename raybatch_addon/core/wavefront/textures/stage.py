@@ -267,12 +267,13 @@ def list_shadows_kernel(
         count[0] = before[i] + chosen[i]
 
 
-def fetch_kernels(features: SceneFeatures, shading: SceneFeatures) -> tuple[wp.Kernel | None, ...]:
-    """All that a `TileFetcher` launches for a scene with `features`, on a device where kernels are specialised on
-    `shading`; none where all images are whole.
+def fetch_kernels(features: SceneFeatures, shading: SceneFeatures, is_cuda: bool) -> tuple[wp.Kernel | None, ...]:
+    """All that a `TileFetcher` launches for a scene with `features`, where kernels are specialised on `shading`; none
+    where all images are whole.
     """
     if not features.fetch_program:
         return ()
     own = narrow(shading, FetchFeatures)
-    others = look_again_kernel, shadows_back_kernel, choose_shadows_kernel, list_shadows_kernel, spread_kernel
+    others = look_again_kernel, shadows_back_kernel, choose_shadows_kernel, list_shadows_kernel
+    others = (*others, spread_kernel) if is_cuda else others
     return (fetch_surfaces_kernel(own), fetch_shadows_kernel(own) if has_shadows(features) else None, *others)
