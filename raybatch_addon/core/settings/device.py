@@ -170,5 +170,4 @@ class MemorySettings:
         unit="texels",
         minimum=16,
         maximum=1024,
-        multiple=16,
     )

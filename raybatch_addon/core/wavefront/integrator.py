@@ -275,7 +275,8 @@ class TileIntegrator:
         if self.textures:
             bound = self._alive  # also those that wait for tiles
             if self.textures.holds_shadows:
-                self._connect(self._shadow_kind, self.textures.ready_shadows(paths, rays, bound), work, film)
+                with self._timer.stage("shade"):
+                    self._connect(self._shadow_kind, self.textures.ready_shadows(paths, rays, bound), work, film)
         with self._timer.stage("lists"):
             miss, surface = self._lists.back(paths.status, bound)
         with self._timer.stage("shade"):
@@ -291,7 +292,7 @@ class TileIntegrator:
                     self._launch_volumes(VolumeStage.SCATTER, back, work)
                 miss, surface = self._lists.back(paths.status, bound)  # without those that scattered
             if self.textures:
-                miss, surface = self.textures.ready_paths(self._lists, work, limits, paths, rays, bound)
+                miss, surface = self.textures.ready_paths(self._lists, surface, work, limits, paths, rays)
             self._launch_stage(ShadingStage.LIGHT_HITS, miss, work, film)
             self._catch(miss)
             self._launch_stage(ShadingStage.BACKGROUND, miss, work, film)

@@ -16,7 +16,7 @@ import warp as wp
 
 from ...device.launches import RepeatedLaunches
 from ...measure.timing import NoTimer, StageTimer
-from ...rays import RayList, Rays
+from ...rays import NO_RAYS, RayList, Rays
 from ..path_lists import PathLists
 from ..rays import Paths
 from ..scene.device_scene import DeviceScene
@@ -51,6 +51,7 @@ class TileFetcher:
         self._counted = wp.zeros(COUNTS, dtype=int, device="cpu", pinned=device.is_cuda)
         self._waiting = 0  # rays that waited at the end of the last turn
         self._looked = self._waited = 0
+        self._shadows_back = False  # some came back in this turn
         if self.holds_shadows:
             self._chosen, self._before, self._slots = (wp.zeros(path_count, dtype=int, device=device) for _ in range(3))
             self._count = wp.zeros(1, dtype=int, device=device)
@@ -65,35 +66,39 @@ class TileFetcher:
         self._waits.phase.zero_()
         self._waits.counts.zero_()
         self._waits.leader.fill_(NOBODY)
-        self._waiting = 0
+        self._waiting, self._shadows_back = 0, False
 
     # --- a turn
 
     def take_shadows(self, back: RayList) -> None:
         """The shadow rays `back` have come back."""
+        self._shadows_back = True
         self._launch(shadows_back_kernel, back.bound, self._waits.phase, back.slots, back.count)
 
     def ready_shadows(self, paths: Paths, rays: Rays, bound: int) -> RayList:
         """Shadow rays whose tiles are there, of at most `bound` that came back or waited; they are the caller's now."""
+        if not (self._shadows_back or self._waiting):
+            return NO_RAYS
+        self._shadows_back = False
         listed = self._listed(bound, ready=0)
         threads = stage_thread_count(bound, self._device)
         self._launch(self._shadows, threads, self.data, self._waits, paths, rays, listed.slots, listed.count)
         return self._listed(bound, ready=1)
 
     def ready_paths(
-        self, lists: PathLists, work: TileWork, limits: PathLimits, paths: Paths, rays: Rays, bound: int
+        self, lists: PathLists, met: RayList, work: TileWork, limits: PathLimits, paths: Paths, rays: Rays
     ) -> tuple[RayList, RayList]:
-        """Paths that may be shaded, of at most `bound` whose rays are back: those that left the scene, and those that
-        met a surface.
+        """Paths that may be shaded, of those whose rays are back or that waited: those that left the scene, and those
+        that met a surface. `met` are those of the latter that did not wait, listed by `lists`.
         """
         if self._waiting:
             self._launch(look_again_kernel, self._path_count, self._waits.phase, paths.status)
-        _, met = lists.back(paths.status, bound)
-        threads = stage_thread_count(bound, self._device)
+            _, met = lists.back(paths.status, met.bound)
+        threads = stage_thread_count(met.bound, self._device)
         seen = self.data, self._waits, work, limits, paths, rays
         self._launch(self._surfaces, threads, *seen, met.slots, met.count)
         wp.copy(self._counted, self._waits.counts)  # of the turn: it is read when the device has come to its end
-        return lists.back(paths.status, bound)
+        return lists.back(paths.status, met.bound)
 
     def bring(self) -> None:
         """At the end of a turn, when the device has done what was launched: bring tiles for rays that wait."""
