@@ -72,7 +72,7 @@ def test_coordinates_that_are_looked_up_are_waited_for():
     assert all(step.words[sure[step.op]] == 1 for step in whole.instructions if step.op in TILED_OPS)
 
 
-@pytest.mark.parametrize("interpolation, across", zip(Interpolation, (1, 2, 3)))
+@pytest.mark.parametrize("interpolation, across", list(zip(Interpolation, (1, 2, 3))))
 def test_tiles_that_a_path_needs_at_once_are_bounded(interpolation, across):
     scene = tiled_scene(room(interpolation, Extension.MIRROR), BUDGET, SLOT)
     programs = [m.program.fetches for m in scene.materials if m.program]

@@ -86,7 +86,8 @@ def slots_of(source: TileSource, budget: int, whole: int, workers: int, least: i
 class TilePool:
     """The slots of one worker, and its table of images."""
 
-    def __init__(self, source: TileSource, slots: int):
+    def __init__(self, source: TileSource, slots: int, staged: bool | None = None):
+        """`slots` for tiles of `source`. `staged`: tiles come in a buffer, many in one copy (default: on a GPU)."""
         self._source, self._device = source, source.device
         device, numbers, size = source.device, source.number_count, source.slot_bytes
         self._addresses = np.zeros(numbers, np.uint64)
@@ -103,7 +104,8 @@ class TilePool:
         self._tile_in = np.full(slots, -1, np.int64)  # number of the tile in a slot; -1: none
         self._slot_of = np.full(numbers, -1, np.int64)
         self._used_at = np.zeros(numbers, np.int64)  # when it was read last, by the count of turns that brought tiles
-        self._staging = _Staging(device, size, slots) if device.is_cuda else None
+        is_staged = device.is_cuda if staged is None else staged
+        self._staging = _Staging(device, size, slots) if is_staged else None
         self.totals = TileTotals(tiles=source.tile_count, slots=slots, slot_bytes=size)
         self.table = ImageTable()
         entries = source.entries_at(self._on_device.ptr).astype(record_type(ImageEntry))
@@ -179,13 +181,13 @@ class TilePool:
 
 
 class _Staging:
-    """Tiles on their way to a CUDA device: many in one copy, and each from there to its slot."""
+    """A buffer for tiles on their way to a device: many in one copy, and each from there to its slot."""
 
     def __init__(self, device: wp.Device, slot_bytes: int, slots: int):
         self._most = max(1, min(slots, _STAGED_BYTES // slot_bytes))
         self._words = slot_bytes // _WORD_BYTES
         shape = (self._most, self._words)
-        self._host = wp.zeros(shape, dtype=wp.uint64, device="cpu", pinned=True)
+        self._host = wp.zeros(shape, dtype=wp.uint64, device="cpu", pinned=device.is_cuda)
         self._there = wp.zeros(shape, dtype=wp.uint64, device=device)
         self._device = device
 
@@ -194,7 +196,8 @@ class _Staging:
         host = self._host.numpy().view(np.uint8)
         for first in range(0, len(numbers), self._most):
             part = numbers[first : first + self._most].tolist()
-            wp.synchronize_stream(self._device.stream)  # the last part has left
+            if self._device.is_cuda:
+                wp.synchronize_stream(self._device.stream)  # the last part has left
             for row, number in enumerate(part):
                 totals.bytes += source.copy_tile(number, host[row])
             wp.copy(self._there, self._host, count=len(part) * self._words)
