@@ -50,7 +50,8 @@ _NAMED_MOST = 4  # images that a warning names
 
 def tiled_scene(scene: Scene, budget: int | None, slot_bytes: int, is_asked: bool = False) -> Scene:
     """`scene` with images in tiles that fill slots of `slot_bytes`, where all take more than `budget` bytes on the
-    device (None: no limit), as far as surfaces alone look them up. Else, and where there are none, it is as it was.
+    device (None: no limit), as far as surfaces alone look them up; what nobody looks up has no pixels. Where all fit it
+    is as it was.
 
     `is_asked`: the budget is that of the setting; then it raises `OutOfMemoryError` where images that have to be whole
     take more. Else these are named by a warning, and are made smaller.
@@ -58,8 +59,10 @@ def tiled_scene(scene: Scene, budget: int | None, slot_bytes: int, is_asked: boo
     if budget is None or device_bytes_of(scene.images) <= budget:
         return scene
     held = held_images(scene)
-    tiled = {i for i, image in enumerate(scene.images) if i not in held and _is_large(image, slot_bytes)}
-    rest = device_bytes_of([image for i, image in enumerate(scene.images) if i not in tiled])
+    seen = {image for material in scene.materials for _, image in _images_of(material.program)}
+    images = tuple(image if i in held or i in seen else _without_pixels(image) for i, image in enumerate(scene.images))
+    tiled = {i for i, image in enumerate(images) if i not in held and _is_large(image, slot_bytes)}
+    rest = device_bytes_of([image for i, image in enumerate(images) if i not in tiled])
     warnings = scene.warnings
     if rest > budget:
         why = f"images that cannot be fetched tile by tile ({_named(scene, held)})"
@@ -71,7 +74,7 @@ def tiled_scene(scene: Scene, budget: int | None, slot_bytes: int, is_asked: boo
         text = f"{why} take {size_text(rest)}, more than the {size_text(budget)} that there are for images"
         warnings = (*warnings, Notice(text, Weight.REPLACED, remedy="make these images smaller"))
     if not tiled:
-        return dataclasses.replace(scene, warnings=warnings)
+        return dataclasses.replace(scene, images=images, warnings=warnings)
     programs = {id(m.program): m.program for m in scene.materials if m.program is not None}
     made = {key: _with_tiles(program, tiled) for key, program in programs.items()}
     register_count = rounded_registers(max(each.register_count for each in made.values()) + FETCH_REGISTERS)
@@ -81,7 +84,7 @@ def tiled_scene(scene: Scene, budget: int | None, slot_bytes: int, is_asked: boo
     return dataclasses.replace(
         scene,
         warnings=warnings,
-        images=tuple(_in_tiles(image, slot_bytes) if i in tiled else image for i, image in enumerate(scene.images)),
+        images=tuple(_in_tiles(image, slot_bytes) if i in tiled else image for i, image in enumerate(images)),
         materials=tuple(
             material if material.program is None else dataclasses.replace(material, program=made[id(material.program)])
             for material in scene.materials
@@ -96,7 +99,7 @@ def images_of_displacement(scene: Scene, budget: int | None) -> tuple[Image, ...
     if budget is None or device_bytes_of(scene.images) <= budget:
         return scene.images
     used = {image for material in scene.materials for _, image in _images_of(material.displacement)}
-    return tuple(image if i in used else Image(image.name) for i, image in enumerate(scene.images))
+    return tuple(image if i in used else _without_pixels(image) for i, image in enumerate(scene.images))
 
 
 def held_images(scene: Scene) -> dict[int, str]:
@@ -197,6 +200,11 @@ def _with_tiles(program: Program, tiled: set[int]) -> Program:
     ops = {name for name in program.ops if name not in _TILED or name in names} | names
     constants = np.append(constants, np.float32(0.0)).astype(np.float32)
     return dataclasses.replace(program, instructions=tuple(steps), constants=constants, ops=tuple(sorted(ops)))
+
+
+def _without_pixels(image: Image) -> Image:
+    """`image` for who does not look it up."""
+    return Image(image.name)
 
 
 def _is_large(image: Image, slot_bytes: int) -> bool:

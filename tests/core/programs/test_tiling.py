@@ -117,6 +117,15 @@ def test_what_is_held_and_does_not_fit_is_named_or_refused():
         tiled_scene(scene, BUDGET, SLOT, is_asked=True)
 
 
+def test_what_nobody_looks_up_has_no_pixels():
+    scene = room()
+    bare = dataclasses.replace(scene, materials=tuple(m for m in scene.materials if m.name in ("leaf", "mirror")))
+    kept = [image.pixels is not None or image.tiles is not None for image in tiled_scene(bare, 10_000, SLOT).images]
+    assert kept == [False, False, True, False, False]
+    nobody = tiled_scene(dataclasses.replace(scene, materials=()), 10_000, SLOT)
+    assert device_bytes_of(nobody.images) == 0 and nobody.warnings == scene.warnings
+
+
 def test_displacement_gets_its_own_images_alone():
     scene = room()
     moved = dataclasses.replace(

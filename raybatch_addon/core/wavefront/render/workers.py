@@ -96,16 +96,17 @@ def make_workers(
     # no tile needs more paths than it has samples
     asked = min(paths_a_worker(settings, workers, device.is_cuda, paged), max(areas) * sample_count)
     made.path_bytes = each = path_bytes(scene, frame, settings, asked)
-    layout, slots = layout_of(frame.passes, frame.transparent), 0
-    if scene.images.tiled:
+    layout, slots, slot_bytes = layout_of(frame.passes, frame.transparent), 0, 0  # of tiles of images
+    if scene.fetches is not None and scene.images.tiled:
         slots = slots_of(scene.images.tiled, scene.image_budget, scene.images.bytes, workers, scene.tiles_least)
+        slot_bytes = scene.images.tiled.slot_bytes
     # sums of finished tiles stay on a CUDA device until the film is asked for them
     tile_bytes = (sum(areas) if device.is_cuda else max(areas)) * (layout.count * WINDOW_DIGITS + 1) * 8
     if settings.half_count == 2:
         tile_bytes *= 3  # of both halves, and of their sum while a picture is made of it
     if settings.is_adaptive:
         tile_bytes += LOOK_BYTES * (sum(areas) if device.is_cuda else max(areas))
-    tile_bytes += slots * (scene.images.tiled.slot_bytes if scene.images.tiled else 0)
+    tile_bytes += slots * slot_bytes
     sorting = order_bytes(scene.tracing.sort_mode(settings), asked, device.is_cuda)
     if scene.hits_sorted_by(settings):
         sorting += hit_order_bytes(asked)

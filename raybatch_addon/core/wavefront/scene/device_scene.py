@@ -125,8 +125,7 @@ class DeviceScene:
                 upload_programs, scene=scene, geometry=data.geometry, images=images.table, device=device, inputs=inputs
             )
             data.nodes = uploaded(programs, features.programs, upload=keep("surfaces"))
-            if images.tiled:
-                needs = features.fetch_program
+            if needs := features.fetch_program:
                 fetching += [each and fetch_part(each, needs.register_count) for each in passing]
                 fetches = uploaded(fetching, needs, upload=keep("fetches"))
         data.world_nodes = upload_programs(
