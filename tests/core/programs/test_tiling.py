@@ -23,7 +23,7 @@ from raybatch_addon.core.shading.images.image_upload import device_bytes_of
 from raybatch_addon.core.shading.images.textures import Extension, Interpolation
 from raybatch_addon.core.shading.images.tiled.pictures import TiledImage
 from raybatch_addon.core.wavefront.rays import bytes_per_path
-from tests.support.textured_scenes import BYTES, COLORS, GREYS, LEAVES, TILES, room, sky
+from tests.support.images.textured_scenes import BYTES, COLORS, GREYS, LEAVES, TILES, room, sky
 
 SLOT, BUDGET = 1024, 150_000
 

@@ -13,8 +13,8 @@ from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.shading.images.image_upload import device_bytes_of
 from raybatch_addon.core.shading.images.textures import Extension, Interpolation
+from tests.support.images.textured_scenes import COLORS, room, sky
 from tests.support.running.shares import each_of
-from tests.support.textured_scenes import COLORS, room, sky
 
 WHOLE = RenderSettings(sample_count=4, bounce_max=3, seed=3, thread_count=1)
 TILED = WHOLE.replace(texture_tile_size=16, texture_budget=150_000)

@@ -12,7 +12,7 @@ import warp as wp
 from ...scene.description import Image, ImageEncoding
 from ...scene.frozen import is_frozen
 from .levels import FilteredImage, ImageLevels, coarser_levels, level_encoding, level_sizes
-from .storage import KINDS, Part, finite_texels, uploaded_texels, with_alpha
+from .storage import TEXEL_KINDS, Part, finite_texels, uploaded_texels, with_alpha
 from .textures import TILE_COLUMNS, ImageEntry, ImageTable, Texels
 from .tiled.pictures import TiledImage, TiledPicture, TileSource, tiled_picture
 
@@ -311,7 +311,7 @@ def _upload(wanted: _Wanted, halvings: int, device) -> _Picture | TiledPicture:
     if own.shape[2] == 3 and (own.dtype != np.uint8 or device.is_cuda or many):
         own = with_alpha(own)
     height, width, channels = own.shape
-    texels, dtype = KINDS[own.dtype.name, channels]
+    texels, dtype = TEXEL_KINDS[own.dtype.name, channels]
     array = uploaded_texels(own, dtype, device)
     levels, encoding = None, level_encoding(own.dtype, wanted.encoding)
     if wanted.levels and max(width, height) > 1:

@@ -11,7 +11,7 @@ from .textures import Texels
 
 _ALIGNMENT = 8  # alignment of addresses [bytes]: texels are loaded whole, up to this many bytes at a time
 
-KINDS = {
+TEXEL_KINDS = {
     ("uint8", 1): (Texels.BYTE, wp.uint8),
     ("uint8", 3): (Texels.BYTE3, wp.uint8),
     ("uint8", 4): (Texels.BYTE4, wp.vec4ub),

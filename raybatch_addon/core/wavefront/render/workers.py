@@ -20,7 +20,7 @@ from ..rays import bytes_per_path
 from ..scene.device_scene import DeviceScene
 from ..scene.kept_scene import KeptScene, settings_but_seeds
 from ..scheduler import paths_a_worker, reduced_path_count, water_marks
-from ..textures.pool import slots_of
+from ..textures.pool import tile_slots_of
 from ..tier import array_features
 from ..tracers.buckets.tracer import selection_of
 from ..tracers.choose import tracer_bytes_per_path
@@ -98,7 +98,7 @@ def make_workers(
     made.path_bytes = each = path_bytes(scene, frame, settings, asked)
     layout, slots, slot_bytes = layout_of(frame.passes, frame.transparent), 0, 0  # of tiles of images
     if scene.fetches is not None and scene.images.tiled:
-        slots = slots_of(scene.images.tiled, scene.image_budget, scene.images.bytes, workers, scene.tiles_least)
+        slots = tile_slots_of(scene.images.tiled, scene.image_budget, scene.images.bytes, workers, scene.tiles_least)
         slot_bytes = scene.images.tiled.slot_bytes
     # sums of finished tiles stay on a CUDA device until the film is asked for them
     tile_bytes = (sum(areas) if device.is_cuda else max(areas)) * (layout.count * WINDOW_DIGITS + 1) * 8

@@ -26,7 +26,7 @@ from ..stages.stage import stage_thread_count
 from ..stages.work import TileWork
 from .pool import TilePool, TileTotals
 from .stage import choose_shadows_kernel, fetch_kernels, list_shadows_kernel, look_again_kernel, shadows_back_kernel
-from .state import COUNTS, LEADER, LOOKED, NEXT_LEADER, NOBODY, WAITED, WAITING_NOW, TextureWaits
+from .state import LEADER, LOOKED, NEXT_LEADER, NOBODY, WAIT_COUNTS, WAITED, WAITING_NOW, TextureWaits
 
 
 class TileFetcher:
@@ -47,8 +47,8 @@ class TileFetcher:
         self._waits.nodes = scene.fetches_with(self._pool.table)
         self._waits.phase = wp.zeros(path_count * (2 if self.holds_shadows else 1), dtype=int, device=device)
         self._waits.leader = wp.full(2, NOBODY, dtype=int, device=device)
-        self._waits.counts = wp.zeros(COUNTS, dtype=int, device=device)
-        self._counted = wp.zeros(COUNTS, dtype=int, device="cpu", pinned=device.is_cuda)
+        self._waits.counts = wp.zeros(WAIT_COUNTS, dtype=int, device=device)
+        self._counted = wp.zeros(WAIT_COUNTS, dtype=int, device="cpu", pinned=device.is_cuda)
         self._waiting = 0  # rays that waited at the end of the last turn
         self._looked = self._waited = 0
         self._shadows_back = False  # some came back in this turn

@@ -66,7 +66,7 @@ class TileTotals:
         return TileTotals(**{**merged, "tiles": self.tiles, "slot_bytes": self.slot_bytes})
 
 
-def slots_of(source: TileSource, budget: int, whole: int, workers: int, least: int) -> int:
+def tile_slots_of(source: TileSource, budget: int, whole: int, workers: int, least: int) -> int:
     """Slots of each of `workers`, of `budget` bytes for all of them and for `whole` bytes of images that are not in
     tiles; at most one for each tile. Raises `OutOfMemoryError` where they are fewer than `least`, which one path may
     need at once.

@@ -34,10 +34,10 @@ from ..stages.surface.program import shading_point, with_steps
 from ..stages.surface.vertex import VertexFeatures, make_vertex
 from ..stages.work import TileWork
 from .pool import spread_kernel
-from .state import LEADER, LOOKED, NEXT_LEADER, WAITED, WAITING_NOW, Phase, TextureWaits, has_shadows
+from .state import LEADER, LOOKED, NEXT_LEADER, WAITED, WAITING_NOW, TextureWaits, WaitPhase, has_shadows
 
 _RAY_OUT = int(Status.RAY_OUT)
-_WAITING, _BACK, _READY, _NONE = int(Phase.WAITING), int(Phase.BACK), int(Phase.READY), int(Phase.NONE)
+_WAITING, _BACK, _READY, _NONE = int(WaitPhase.WAITING), int(WaitPhase.BACK), int(WaitPhase.READY), int(WaitPhase.NONE)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,12 +11,12 @@ from ...scene.features import SceneFeatures
 
 NOBODY = 2**31 - 1  # where no ray waits
 # Rays whose surfaces were looked at the first time, and those of them whose tiles were not there; rays that wait now
-LOOKED, WAITED, WAITING_NOW, COUNTS = 0, 1, 2, 3
+LOOKED, WAITED, WAITING_NOW, WAIT_COUNTS = 0, 1, 2, 3
 # Slots of the ray that is to go on next, and of that which is so in the next turn: the least of those that wait
 LEADER, NEXT_LEADER = 0, 1
 
 
-class Phase(IntEnum):
+class WaitPhase(IntEnum):
     """Where a ray stands that came back from its tracer."""
 
     NONE = 0  # its surface is shaded, or there is none
@@ -30,9 +30,9 @@ class TextureWaits:
     """Rays that wait for tiles, one entry a ray slot where it does not say otherwise."""
 
     nodes: NodeData  # programs that fetch: those of materials, and behind them of what shadow rays ask of them
-    phase: wp.array(dtype=int)  # `Phase`
+    phase: wp.array(dtype=int)  # `WaitPhase`
     leader: wp.array(dtype=int)  # slots, shape [2]
-    counts: wp.array(dtype=int)  # shape [COUNTS]
+    counts: wp.array(dtype=int)  # shape [WAIT_COUNTS]
 
 
 def texture_bytes_per_path(features: SceneFeatures) -> int:

@@ -8,7 +8,7 @@ from raybatch_addon.core.errors import OutOfMemoryError
 from raybatch_addon.core.shading.images.image_upload import ImageCache
 from raybatch_addon.core.shading.images.tiled.look_up import MARKS, PINNED, SEEN, WANTED
 from raybatch_addon.core.shading.images.tiled.pictures import TiledImage
-from raybatch_addon.core.wavefront.textures.pool import TilePool, TileTotals, slots_of
+from raybatch_addon.core.wavefront.textures.pool import TilePool, TileTotals, tile_slots_of
 
 
 @pytest.fixture
@@ -75,11 +75,11 @@ def test_look_ups_of_tiles_that_are_not_there_are_counted(source):
 
 
 def test_a_pool_has_no_more_slots_than_tiles_and_enough_for_a_path(source):
-    assert slots_of(source, 1 << 30, 500, 3, 9) == 16
-    assert slots_of(source, 500 + 3 * 9 * 1024, 500, 3, 9) == 9
+    assert tile_slots_of(source, 1 << 30, 500, 3, 9) == 16
+    assert tile_slots_of(source, 500 + 3 * 9 * 1024, 500, 3, 9) == 9
     with pytest.raises(OutOfMemoryError, match=r"texture_budget .* needs 28,148 at least"):
-        slots_of(source, 499 + 3 * 9 * 1024, 500, 3, 9)
-    assert slots_of(source, 16 * 1024, 0, 1, 99) == 16  # all there is
+        tile_slots_of(source, 499 + 3 * 9 * 1024, 500, 3, 9)
+    assert tile_slots_of(source, 16 * 1024, 0, 1, 99) == 16  # all there is
 
 
 def test_totals_of_workers_are_one_report():

@@ -96,7 +96,7 @@ def taps_of(image: ImageEntry, u: float, v: float, interpolation: int, extension
 
 
 @wp.func
-def tiles_of(image: ImageEntry) -> Tiles:
+def division_of(image: ImageEntry) -> Tiles:
     """How `image` is divided; where it is not, it is one tile without address."""
     tiles = Tiles()
     tiles.column_bits = (image.texels >> wp.static(COLUMN_SHIFT)) & wp.static(KIND_MASK)
@@ -127,7 +127,7 @@ def entry_at(table: ImageTable, entry: int, level: int) -> ImageEntry:
 def _interpolated(image: ImageEntry, u: float, v: float, interpolation: int, extension: int, sure: int) -> wp.vec4:
     """The picture's numbers at (u, v), as stored."""
     taps = taps_of(image, u, v, interpolation, extension)
-    tiles = tiles_of(image)
+    tiles = division_of(image)
     tile = ImageEntry()  # the one that was read last
     tile.address = image.address
     tile.width = image.width
@@ -193,7 +193,7 @@ def want_tiles(
     if place.entry < 0:
         return 0
     image = entry_at(table, place.entry, level)
-    tiles = tiles_of(image)
+    tiles = division_of(image)
     if tiles.count == 0:
         return 0
     taps = taps_of(image, place.u, place.v, interpolation, extension)

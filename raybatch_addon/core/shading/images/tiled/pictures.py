@@ -12,12 +12,12 @@ import warp as wp
 from ....scene.description import ImageEncoding
 from ....scene.frozen import is_frozen
 from ..levels import FilteredImage, ImageLevels, coarser_levels, level_encoding
-from ..storage import KINDS, Part, finite_texels, uploaded_texels, with_alpha
+from ..storage import TEXEL_KINDS, Part, finite_texels, uploaded_texels, with_alpha
 from ..textures import ImageEntry, Texels
 from .look_up import COLUMN_SHIFT, KIND_MASK, ROW_SHIFT
 
 # Bytes of a texel by `Texels`, as slots are divided: three take the room of four
-_TEXEL_BYTES = {kind: wp.types.type_size_in_bytes(dtype) for kind, dtype in KINDS.values()} | {Texels.BYTE3: 4}
+_TEXEL_BYTES = {kind: wp.types.type_size_in_bytes(dtype) for kind, dtype in TEXEL_KINDS.values()} | {Texels.BYTE3: 4}
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def tiled_picture(
         own, replaced = finite_texels(pixels)
     # as pictures that are whole are stored, but that what gets an opaque alpha gets it tile by tile
     channels = own.shape[2] if own.shape[2] != 3 or (own.dtype == np.uint8 and not device.is_cuda) else 4
-    kind, dtype = KINDS[own.dtype.name, channels]
+    kind, dtype = TEXEL_KINDS[own.dtype.name, channels]
     tiled, small = [own], []
     for level in coarser_levels(own, encoding, levels) if levels else ():
         is_large = level.shape[0] * level.shape[1] * _TEXEL_BYTES[kind] > slot_bytes
@@ -147,7 +147,7 @@ class TileSource:
         self.slot_bytes, kind = picture.slot_bytes, int(picture.texels)
         column_bits, row_bits = tile_bits(picture.texels, picture.slot_bytes)
         word = kind | column_bits << COLUMN_SHIFT | row_bits << ROW_SHIFT
-        channels = next(shape[1] for shape, known in KINDS.items() if known[0] is picture.texels)
+        channels = next(shape[1] for shape, known in TEXEL_KINDS.items() if known[0] is picture.texels)
         parts = []
         for pixels in picture.tiled:
             height, width = pixels.shape[:2]
