@@ -85,7 +85,6 @@ def fragment(reports: dict[str, Report]) -> str:
                     tiles.get("fetched"),
                     number(tiles["bytes"] / 1e6) if tiles else "",
                     f"{tiles['waited_share']:.1%}" if tiles else "",
-                    number(tiles["seconds"]) if tiles else "",
                 ]
             )
     parts += [f"- {films_line(wrong, whole)}", ""]
@@ -98,7 +97,7 @@ def fragment(reports: dict[str, Report]) -> str:
         "tiles",
         "fetched",
     ]
-    return "\n".join([*parts, table([*head, "fetched [MB]", "look-ups that waited", "fetching [s]"], rows)])
+    return "\n".join([*parts, table([*head, "fetched [MB]", "look-ups that waited"], rows)])
 
 
 def draw(reports: dict[str, Report], folder: Path) -> None:
