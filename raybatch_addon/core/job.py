@@ -33,7 +33,14 @@ from .wavefront.render.rendering import Rendering
 from .wavefront.render.resume import ResumeState
 from .wavefront.render.rounds import RoundPolicy
 from .wavefront.render.steps import TileSteps
-from .wavefront.render.summary import batching_totals, ray_totals, rounds_summary, volume_counts, workers_summary
+from .wavefront.render.summary import (
+    batching_totals,
+    ray_totals,
+    rounds_summary,
+    tile_totals,
+    volume_counts,
+    workers_summary,
+)
 from .wavefront.scene.device_scene import DeviceScene
 from .wavefront.scheduler import round_tile_edge, step_tile_edge, tile_edge
 from .wavefront.tier import TierChoice
@@ -122,6 +129,8 @@ class Job:
             )
         rays, in_volumes = ray_totals(integrators), volume_counts(integrators)
         self.warnings += in_volumes.warnings(rays["camera"]) if in_volumes else []
+        tiles = tile_totals(integrators)
+        self.warnings += tiles.warnings() if tiles else []
         return render_statistics(
             devices=devices,
             settings=self.settings,
@@ -138,7 +147,8 @@ class Job:
                 "triangles": self.scene.triangles_placed,
                 "instances": len(self.scene.instances),
                 "lights": len(self.scene.lights),
-                "images": image_statistics(self.scene, device_scene.images if device_scene else None),
+                "images": image_statistics(self.scene, device_scene.images if device_scene else None)
+                | ({"tiles": tiles.report()} if tiles else {}),
                 "invalid_samples": invalid,
                 "volumes": in_volumes and in_volumes.report(),
                 "modules": sorted(set(modules)),

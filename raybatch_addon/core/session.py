@@ -30,7 +30,7 @@ from .programs.requests import prepared_scene
 from .scene.description import Scene
 from .scene.features import SceneFeatures, derive_features
 from .scene.validate import checked_scene
-from .session_device import Place, SessionDevice, pages_in_common
+from .session_device import Place, SessionDevice, least_image_budget, pages_in_common
 from .settings.settings import RenderSettings
 from .wavefront.adaptive.active_pixels import ActivePixels
 from .wavefront.adaptive.ranges import check_after, chosen_looks, pixels_can_end
@@ -215,14 +215,14 @@ class Session:
         first.kept.is_sound = first.kept.is_known and whole is scene
         displaced = first.displaced(whole, settings, parts, on_progress, lambda: bool(cancelled()))
         parts.enter("check")
-        was_cancelled = displaced is None
-        checked = prepared_scene(whole if displaced is None else displaced, settings)
         check_samples(settings, sample_first)
-        derived = first.kept.derived if not was_cancelled else lambda _name, _settings, make: make()
+        derived = first.kept.derived if displaced is not None else lambda _name, _settings, make: make()
+        sharing = self._sharing(settings.sample_count * whole.frame.pixel_count)
+        budget = derived("budget", settings, lambda: least_image_budget(sharing, settings))
+        checked = prepared_scene(whole if displaced is None else displaced, settings, budget)
         size = derived("size", settings, lambda: GeometrySize.of(checked))
         features = derived("features", settings, lambda: derive_features(checked, settings))
         features = replace(features, adaptive=pixels_can_end(settings, sample_first))
-        sharing = self._sharing(settings.sample_count * checked.frame.pixel_count)
         plan = first.plan(checked, settings, size, features, [each.device for each in sharing])
         warnings = [*checked.warnings, *plan.complaints, *self._unlike()]
         tier = choose_tier(features, settings.kernel_tier, self.device)
@@ -238,7 +238,7 @@ class Session:
             sample_first=sample_first,
             on_tile=on_tile,
             on_progress=on_progress,
-            cancelled=lambda: was_cancelled or cancelled(),
+            cancelled=lambda: displaced is None or cancelled(),
             watchers=snapshot_watchers(observers, settings.sample_count),
             parts=parts,
             warnings=warnings,

@@ -67,7 +67,7 @@ class SessionDevice:
         sharing: Sequence[wp.Device] = (),
     ) -> TracingPlan:
         """How rays of `scene`, whose geometry is of this `size`, are traced here, while `sharing` render it."""
-        free = self.cache.free_for_geometry(scene.images, self.device)
+        free = self.cache.free_for_geometry(scene.images, self.device, settings.texture_budget)
         apart = why_apart(sharing)
         memory = Memory(
             size.needed(self.layout, self.device),
@@ -80,6 +80,10 @@ class SessionDevice:
         samples = settings.sample_count * scene.frame.pixel_count
         return plan_tracing(settings, size, self.layout, self.device.is_cuda, memory, samples, features.moving)
 
+    def image_budget(self, settings: RenderSettings) -> int | None:
+        """What images may take of the device's memory [bytes]; None: they lie where they are."""
+        return settings.texture_budget or self.cache.image_budget(self.device)
+
     def displaced(
         self,
         scene: Scene,
@@ -89,7 +93,8 @@ class SessionDevice:
         cancelled: Callable[[], bool],
     ) -> Scene | None:
         """`scene` with its vertices where its materials move them; None when cancelled meanwhile."""
-        move = functools.partial(self.cache.displaced, scene, self.device, mover(settings.kernel_tier))
+        mover_of = mover(settings.kernel_tier)
+        move = functools.partial(self.cache.displaced, scene, self.device, mover_of, settings.texture_budget)
         if not is_displaced(scene):
             return move()
         before, closed, waited = self._building, self.tier_changes.is_closed, WaitedParts(parts)
@@ -148,6 +153,12 @@ class SessionDevice:
         finally:
             job.warnings += preparation.warnings
             self._building = preparation.build
+
+
+def least_image_budget(devices: Sequence[SessionDevice], settings: RenderSettings) -> int | None:
+    """What images may take of the memory of each of `devices` [bytes]; None: there is no limit."""
+    budgets = [each.image_budget(settings) for each in devices]
+    return min((each for each in budgets if each is not None), default=None)
 
 
 def pages_in_common(jobs: Sequence[Job], devices: Sequence[wp.Device], shared: SharedPages) -> list[PeerPages | None]:

@@ -19,10 +19,12 @@ from raybatch_addon.core.film.sums import WIDE_DIGITS, normalised
 from raybatch_addon.core.scene.description import Frame, Scene
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import SETTINGS, RenderSettings
+from raybatch_addon.core.shading.images.image_upload import device_bytes_of
 from raybatch_addon.core.wavefront.tracers.buckets import tracer as batching
 
 # What the engine says when a budget is too small; the number is taken at its word
 _ENOUGH = re.compile(r"(?:about |; )([\d,]+) (?:bytes )?are enough|needs ([\d,]+) at least")
+_BUDGETS = ("texture_budget", "geometry_budget")
 _FEW = ("CPU_RAYS_FEW", "CPU_SWEEP_FEW", "CUDA_RAYS_FEW", "CUDA_SWEEP_FEW")
 _RAISES_MOST = 8  # of a budget
 _DRAWS_MOST = 1000  # of a schedule that goes with what is fixed
@@ -61,6 +63,7 @@ class FilmComparer:
             triangles,
             max(1, GeometrySize.of(scene).tree_bytes_most(session.layout)),
             (x1 - x0) * (y1 - y0) * estimator.sample_count,
+            device_bytes_of(scene.images),
         )
 
     def compare_drawn(
@@ -110,9 +113,10 @@ class FilmComparer:
             except OutOfMemoryError as error:
                 found = _ENOUGH.search(str(error))
                 enough = int(next(filter(None, found.groups())).replace(",", "")) if found else 0
-                if raised == _RAISES_MOST or enough <= schedule.get("geometry_budget", 0):
+                budget = next((name for name in _BUDGETS if name in str(error)), _BUDGETS[-1])
+                if raised == _RAISES_MOST or enough <= schedule.get(budget, 0):
                     return ComparedFilm(schedule, frame.region, [f"refused: {error}"], raised, rays_few=rays_few)
-                schedule["geometry_budget"] = enough
+                schedule[budget] = enough
                 raised += 1
         return ComparedFilm(schedule, frame.region, self.faults(film), raised, film.statistics, rays_few)
 

@@ -54,6 +54,7 @@ class DrawnSizes:
     triangles: int
     tree_bytes: int  # of all of its geometry, from above
     paths: int  # of the whole frame
+    image_bytes: int = 0  # of all of its images
 
 
 def drawn_schedule(draws: Draws, sizes: DrawnSizes) -> dict[str, Any]:
@@ -70,6 +71,8 @@ def drawn_schedule(draws: Draws, sizes: DrawnSizes) -> dict[str, Any]:
         drawn["geometry_budget"] = _any_size(
             draws, max(sizes.tree_bytes // 64, 4096), sizes.tree_bytes + (sizes.tree_bytes >> 2) + 4096
         )
+    drawn["texture_budget"] = draws.pick((0, _any_size(draws, sizes.image_bytes // 8, sizes.image_bytes)))
+    drawn["texture_tile_size"] = draws.pick((SETTINGS["texture_tile_size"].default, 16, 32))
     drawn["thread_count"] = draws.whole(0, THREADS_MOST)
     drawn["tile_size"] = _zero_or_any(draws, max(2, int(sizes.paths**0.5)))
     drawn["ray_count"] = _zero_or_any(draws, 2 * sizes.paths)

@@ -180,7 +180,7 @@ def row_of(film: Film, settings: RenderSettings) -> Row:
     share = reported["samples"] / whole
     seconds = reported["seconds"]
     batching = reported.get("batching") or {}
-    tree = reported.get("tree") or {}
+    tree, images = reported.get("tree") or {}, reported["images"]
     cut = tree.get("cut") or {}
     return {
         "seconds": round(seconds["render"], 6),
@@ -196,6 +196,7 @@ def row_of(film: Film, settings: RenderSettings) -> Row:
         "tree_bytes": tree.get("bytes"),
         **({"treelets": cut["treelets"], "treelet_nodes": cut["treelet_nodes_mean"]} if cut else {}),
         **{name: batching[name] for name in _BATCHING if name in batching},
+        **({"tiles": images["tiles"]} if "tiles" in images else {}),
         **({"warnings": reported["warnings"]} if reported["warnings"] else {}),
     }
 

@@ -7,7 +7,7 @@ import difflib
 from lib.command import UsageError
 
 from studies import adaptive, batching, budgets, cycles, light_sampling, many_lights, many_workers, sequences, thesis
-from studies.images import environment, textures
+from studies.images import environment, image_budgets, textures
 from studies.motion import trees_over_time
 from studies.study import Study
 
@@ -23,6 +23,7 @@ STUDIES: dict[str, Study] = {
         sequences.STUDY,
         adaptive.STUDY,
         textures.STUDY,
+        image_budgets.STUDY,
         budgets.STUDY,
         trees_over_time.STUDY,
         cycles.STUDY,

@@ -110,8 +110,8 @@ def test_an_image_too_large_for_the_device_is_made_smaller_and_named(session, mo
     monkeypatch.setattr(SceneCache, "image_budget", lambda self, device: 40_000)
     film = session.render(sheet(Image("Large", np.full((120, 120, 4), 51, np.uint8))), SETTINGS)
     assert np.allclose(picture_of(film), 0.2)
-    (warning,) = [line for line in film.statistics["warnings"] if "Large" in line]
-    assert "120 x 120 to 60 x 60" in warning
+    why, what = [line for line in film.statistics["warnings"] if "Large" in line]
+    assert "“Large”, of a material that emits" in why and "120 x 120 to 60 x 60" in what
 
 
 def test_a_world_shows_its_image(session):

@@ -17,7 +17,7 @@ from tests.support.running.general_kernels import by_general_kernels
 from tests.support.schedule_scenes import ESTIMATOR
 from tests.support.under_test import DEVICE
 
-SIZES = DrawnSizes(triangles=5000, tree_bytes=400_000, paths=3000)
+SIZES = DrawnSizes(triangles=5000, tree_bytes=400_000, paths=3000, image_bytes=200_000)
 EXAMPLES = 60  # of each scene, in a thorough run
 TURNS = 16
 

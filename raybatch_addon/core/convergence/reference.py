@@ -26,9 +26,9 @@ VERSION = 1
 # Estimator settings that say which picture is asked for. The others say how it is estimated: they may differ from the
 # reference's, and clamping too, since what it takes away is an error.
 PICTURE_SETTINGS = ("bounce_max", "transparent_bounce_max", "pixel_filter", "filter_width")
-# What of a scene does not change its picture: names, notes, the other passes, and UV maps while no shader reads them
-# (Blender subdivides on many threads, and does not make them to the same bits twice)
-NOT_SHOWN = {"name", "object_names", "warnings", "passes", "kinds", "corner_uvs"}
+# What of a scene does not change its picture: names, notes, the other passes, parts of programs that fetch images, and
+# UV maps while no shader reads them (Blender subdivides on many threads, and does not make them to the same bits twice)
+NOT_SHOWN = {"name", "object_names", "warnings", "passes", "kinds", "corner_uvs", "fetches"}
 
 
 @dataclass(frozen=True)

@@ -63,8 +63,10 @@ def image_statistics(scene: Scene, uploaded: UploadedImages | None) -> dict[str,
     names = Counter(step.op for program in programs.values() for step in program.instructions)
     if uploaded and names["image_level"]:
         counts["level_bytes"] = uploaded.level_bytes
-        counts["filtered_look_ups"] = sum(names[name] for name in _AT.values())
-        counts["other_look_ups"] = sum(names[name] for name in (*_AT, "environment"))
+        # each has a level of its own, and only they
+        filtered = counts["filtered_look_ups"] = names["image_level"]
+        look_ups = (*_AT, *_AT.values(), "environment", "tiled_image", "tiled_image_box")
+        counts["other_look_ups"] = sum(names[name] for name in look_ups) - filtered
     return counts
 
 

@@ -110,6 +110,8 @@ def op_named(name: str) -> Op:
 
 # Ops of volumes alone have names that begin so
 VOLUME_PREFIX = "volume_"
+# and ops of images in tiles
+TILED_PREFIX = "tiled_"
 # The number of an op in code is its index in `op_names()` plus this; 0 ends a program
 FIRST_OP = 1
 
@@ -123,8 +125,10 @@ def op_numbers() -> dict[str, int]:
 
 
 def op_names() -> list[str]:
-    """Names of all ops, sorted; those that general kernels lack come last, and leave the others' numbers alone."""
-    return sorted(_ops, key=lambda name: (not _ops[name].general, name))
+    """Names of all ops, sorted; those that general kernels lack come last, and leave the others' numbers alone, and
+    behind them those of images in tiles.
+    """
+    return sorted(_ops, key=lambda name: (not _ops[name].general, name.startswith(TILED_PREFIX), name))
 
 
 @wp.func

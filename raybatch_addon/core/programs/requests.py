@@ -15,17 +15,21 @@ from ..settings.settings import RenderSettings
 from .footprints import filtered_scene
 from .ops.inputs.ray_inputs import ANSWERS
 from .parts import steps_towards
+from .tiling import tiled_scene
 
 REQUEST_OPS = frozenset({"ambient_occlusion", "bevel"})
 # Words of these ops: the first register, and the number of the request
 _FIRST, _NUMBER = 3, 4
 
 
-def prepared_scene(scene: Scene, settings: RenderSettings) -> Scene:
-    """`scene` with the programs of its materials rewritten for a render: images filtered as `settings` say, and
-    requests for rays numbered.
+def prepared_scene(scene: Scene, settings: RenderSettings, image_budget: int | None = None) -> Scene:
+    """`scene` with the programs of its materials rewritten for a render: images filtered as `settings` say, requests
+    for rays numbered, and images in tiles where all take more than `image_budget` bytes (None: there is no limit).
+
+    Raises `OutOfMemoryError` where that is `texture_budget`, and images that cannot be in tiles take more.
     """
-    return requesting_scene(filtered_scene(scene, settings))
+    asking = requesting_scene(filtered_scene(scene, settings))
+    return tiled_scene(asking, image_budget, settings.texture_tile_bytes, is_asked=settings.texture_budget > 0)
 
 
 def requesting_scene(scene: Scene) -> Scene:

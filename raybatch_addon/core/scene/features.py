@@ -107,6 +107,7 @@ class SceneFeatures:
     volumes: bool = False  # something fills surfaces or the world
     volume_program: ProgramFeatures = ProgramFeatures()  # needs of the shader graphs of volumes
     request_program: ProgramFeatures = ProgramFeatures()  # needs of the parts of materials that ask for rays
+    fetch_program: ProgramFeatures = ProgramFeatures()  # needs of the parts of materials that ask for tiles of images
 
     @property
     def transparency(self) -> bool:
@@ -211,7 +212,7 @@ class SceneFeatures:
             "shader programs": bool(self.programs),
             "world program": bool(self.world_program),
             "programs of lights": bool(self.lamp_program),
-            "image textures": any(name.startswith(("image", "environment")) for name in self.all_ops),
+            "image textures": any(name.startswith(("image", "environment", "tiled_image")) for name in self.all_ops),
             "levels of images": self.texture_levels,
             "sampling of the world": self.world_light,
             "portals of the world": self.light_portals,
@@ -248,6 +249,7 @@ class SceneFeatures:
             "programs of volumes": bool(self.volume_program),
             "motion within volumes": self.volume_program.flows,
             "rays for programs": self.requests,
+            "images in tiles": bool(self.fetch_program),
         }
         return sorted(name for name, there in names.items() if not there)
 
@@ -277,6 +279,7 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
         closure_count=max((len(material.closures) for material in scene.materials), default=0) if surfaces else 0,
         programs=_material_programs(scene) if surfaces else ProgramFeatures(),
         request_program=program_features(m.program.requests for m in scene.materials if surfaces and m.program),
+        fetch_program=program_features(m.program.fetches for m in scene.materials if surfaces and m.program),
         world_program=program_features([scene.world.program]),
         lamp_program=program_features([light.program for light in scene.lights]),
         lights=tuple(sorted({light.kind for light in scene.lights})),

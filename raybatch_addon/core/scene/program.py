@@ -13,7 +13,7 @@ signature (`programs/op.py`):
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from enum import IntEnum
 
 import numpy as np
@@ -38,9 +38,11 @@ class Program:
     # Names of all ops that the graph's nodes may need when values change; kernels are compiled for these. Includes the
     # ops of `instructions`.
     ops: tuple[str, ...] = ()
+    _: KW_ONLY
     # of a render: answers that rays give to any program, in the last registers; and what asks for them
     answer_count: int = 0
     requests: Program | None = None
+    fetches: Program | None = None  # what asks for tiles of images that are not whole on the device
 
     @property
     def may_emit(self) -> bool:

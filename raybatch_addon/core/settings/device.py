@@ -112,7 +112,7 @@ class LaunchSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class MemorySettings:
-    """How much of the scene's geometry is on the device, and where the rest is."""
+    """How much of the scene's geometry and images is on the device, and where the rest is."""
 
     geometry_budget: int = setting(
         0,
@@ -146,4 +146,28 @@ class MemorySettings:
                 "is not enough",
             ),
         ),
+    )
+    texture_budget: int = setting(
+        0,
+        "Images",
+        "Memory that images of materials may take on the device; what has no room comes in tiles, for which rays wait. "
+        "{rest}: all of them on the CPU, where they lie in its memory anyway; half of what is free on a GPU",
+        group="MEMORY",
+        effect="schedule",
+        unit=BYTES,
+        minimum=0,
+        maximum=2**62,
+        auto=0,
+        start=10**9,
+    )
+    texture_tile_size: int = setting(
+        128,
+        "Image Tiles",
+        "Edge of a tile of an image of four bytes a texel, a power of two; tiles of others have as many bytes. For "
+        "images that have no room",
+        group="MEMORY",
+        effect="schedule",
+        unit="texels",
+        minimum=16,
+        maximum=1024,
     )

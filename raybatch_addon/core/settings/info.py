@@ -52,7 +52,7 @@ GROUPS = {
         "Performance", "How a frame is rendered. From here on no setting changes the picture, only the time it takes."
     ),
     "MEMORY": GroupInfo(
-        "Memory", "How much of the scene's geometry is on the device, and where the rest is.", "PERFORMANCE"
+        "Memory", "How much of the scene's geometry and images is on the device, and where the rest is.", "PERFORMANCE"
     ),
     "BATCHING": GroupInfo("Batching", "How rays are traced: for those who study it."),
     "SCHEDULER": GroupInfo("Scheduler", "Which rays are alive, and what is done next.", "BATCHING"),

@@ -90,7 +90,7 @@ class RenderSettings(
         return None
 
     def _complaint_of_memory(self) -> str | None:
-        """Why geometry could not be kept so."""
+        """Why geometry or images could not be kept so."""
         if self.geometry_budget and self.batching in ("OFF", "REFERENCE"):
             why = "Warp's own tree is" if self.batching == "REFERENCE" else "without queues rays need the whole tree"
             return (
@@ -98,7 +98,15 @@ class RenderSettings(
                 f"({self.geometry_budget} bytes) lets a part of it "
                 "wait elsewhere; set geometry_budget to 0, or batching to AUTO or ON"
             )
+        if self.texture_tile_size.bit_count() != 1:
+            below = 1 << self.texture_tile_size.bit_length() - 1
+            return f"texture_tile_size is {self.texture_tile_size}, no power of two; set it to {below} or {2 * below}"
         return None
+
+    @property
+    def texture_tile_bytes(self) -> int:
+        """Memory of a tile of an image [bytes]."""
+        return 4 * self.texture_tile_size**2
 
     @property
     def half_count(self) -> int:

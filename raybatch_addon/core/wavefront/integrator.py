@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import math
 import time
@@ -18,20 +17,15 @@ from ..film.tile import FIRST_SAMPLE_ARRAYS, FilmTile, FilmTiles, FinishedTile
 from ..measure.batching import BatchingTotals
 from ..measure.counters import Counters, CounterTotals
 from ..measure.timing import NoTimer
-from ..native.structs import upload_struct
 from ..rays import NO_RAYS, RayKind, RayList
 from ..scene.description import Frame
 from ..settings.settings import RenderSettings
 from ..shading.sampling import filter_table
-from .catchers.state import allocate_caught
 from .kernels import StageKernels
 from .order.hit_order import HitOrder
 from .order.ray_order import RayOrder
-from .passes.state import make_path_passes
+from .path_arrays import PathArrays
 from .path_lists import Length, PathLists
-from .plan.plan import Method
-from .rays import RayNeeds, allocate_paths, allocate_rays
-from .requests.state import allocate_requests
 from .scene.device_scene import DeviceScene
 from .scheduler import WaterMarks
 from .stages import generate
@@ -39,11 +33,11 @@ from .stages.generate import counted_kernel
 from .stages.limits import path_limits
 from .stages.stage import stage_thread_count
 from .stages.work import ShadingStage, TileWork, VolumeStage
-from .tier import array_features
+from .textures.fetching import TileFetcher
 from .tile_state import RayTotals, TileState
 from .tracers.choose import make_tracer
 from .tracers.interface import Tracer
-from .volumes.volumes import begin_counts, state_of, with_state
+from .volumes.volumes import begin_counts, state_of
 
 TAIL_SHARE = 0.125  # of the slots: below it, without paths to come, turns do little
 
@@ -51,26 +45,16 @@ TAIL_SHARE = 0.125  # of the slots: below it, without paths to come, turns do li
 class TileIntegrator:
     """One worker: its rays, queues and the loop that moves them."""
 
-    def __init__(self, scene: DeviceScene, frame: Frame, settings: RenderSettings, marks: WaterMarks):
+    def __init__(
+        self, scene: DeviceScene, frame: Frame, settings: RenderSettings, marks: WaterMarks, tile_slots: int = 0
+    ):
+        """`tile_slots`: for tiles of images, where these are not whole."""
         features, device, count = scene.features, scene.device, marks.path_count
         self._scene, self._frame, self._marks, self.device = scene, frame, marks, device
         self._layout = layout_of(frame.passes, frame.transparent)
-        self._paths = allocate_paths(count, array_features(features, scene.shading), device)
-        self._passes = make_path_passes(count, features, self._layout, scene.pass_inputs, scene.camera, device)
-        if self._passes:
-            self._paths.passes = upload_struct(self._passes, device)
-        tracing = scene.tracing
-        needs = RayNeeds.of(features, tracing.method is Method.REFERENCE)
-        self._rays = allocate_rays(count, device, dataclasses.replace(needs, shadow_rays=scene.shadow_rays))
-        self._catchers = None  # nothing catches shadows
-        if features.catchers:
-            self._catchers = allocate_caught(count, self._layout, features, scene.pass_inputs.is_catcher, device)
-        self.volumes = None  # there are none
-        if scene.volumes:
-            self.volumes = with_state(scene.volumes.data, count, settings.volume_bounce_max, device)
-        self._requests = allocate_requests(count, features, device)  # None: nothing asks for rays
-        if self._requests:
-            self._paths.requests = upload_struct(self._requests, device)
+        self._arrays = arrays = PathArrays.allocate(scene, self._layout, settings, count)
+        self._paths, self._rays = arrays.paths, arrays.rays
+        self._catchers, self.volumes = arrays.catchers, arrays.volumes
         self._media = state_of(self.volumes)
         self._shadow_kind = RayKind.TRANSPARENT_SHADOW if scene.transparent_shadows else RayKind.OCCLUSION
         self._lists = PathLists(count, device, walks=features.subsurface)
@@ -78,6 +62,7 @@ class TileIntegrator:
         self._film_tiles.set_mattes_aside(self._lists.counts.at(Length.MATTES), count)
         self._free: wp.array | None = None
         self._bounced = self._shadow = NO_RAYS
+        tracing = scene.tracing
         counting = tracing.counters(settings, frame.passes)
         self._counters = Counters(counting, self._rays.origin.size, settings.bounce_max, device) if counting else None
         self._counts_steps = bool(counting and counting.steps)
@@ -90,6 +75,9 @@ class TileIntegrator:
         if key := scene.hits_sorted_by(settings):
             data = scene.data
             self._hit_order = HitOrder(count, key, data.geometry, data.materials.records, device, self._timer)
+        # None: all images are whole
+        self.textures = TileFetcher(scene, count, tile_slots, self._timer) if tile_slots else None
+        self._data = self.textures.data if self.textures else scene.data
         self._tracer: Tracer | None = None  # there is nothing to hit
         if scene.tree:
             self._tracer = make_tracer(
@@ -121,6 +109,8 @@ class TileIntegrator:
             self._order.begin()
         self.rays, self.invalid_samples, self._alive = RayTotals(), 0, 0
         begin_counts(self.volumes)
+        if self.textures:
+            self.textures.begin()
         self.items_done = 0  # paths that came to their end, for progress
         self.tail_seconds = 0.0  # of the last `render`: from its last full waves to the picture
         self.patience = math.inf  # of a stopped tile whose rays are under way [s]; 0: they are given up in mid-turn
@@ -266,7 +256,13 @@ class TileIntegrator:
     def _take_back(self, kind: RayKind, back: RayList, work: TileWork, film: FilmTile) -> None:
         if kind == RayKind.CLOSEST:
             self._launch_over(self._kernels.settle, back, self._paths, self._rays)
-        elif kind == RayKind.OCCLUSION:
+        elif self.textures and self.textures.holds_shadows:
+            self.textures.take_shadows(back)
+        else:
+            self._connect(kind, back, work, film)
+
+    def _connect(self, kind: RayKind, back: RayList, work: TileWork, film: FilmTile) -> None:
+        if kind == RayKind.OCCLUSION:
             self._launch_stage(ShadingStage.CONNECT, back, work, film)
         else:
             if self.volumes:
@@ -275,11 +271,16 @@ class TileIntegrator:
 
     def _shade(self, work: TileWork, film: FilmTile, bound: int) -> None:
         """Paths whose rays are all back go on: at most `bound`."""
-        data, limits, paths, rays = self._scene.data, self._limits, self._paths, self._rays
+        data, limits, paths, rays = self._data, self._limits, self._paths, self._rays
+        if self.textures:
+            bound = self._alive  # also those that wait for tiles
+            if self.textures.holds_shadows:
+                with self._timer.stage("shade"):
+                    self._connect(self._shadow_kind, self.textures.ready_shadows(paths, rays, bound), work, film)
         with self._timer.stage("lists"):
             miss, surface = self._lists.back(paths.status, bound)
         with self._timer.stage("shade"):
-            if self._requests:
+            if self._arrays.requests:
                 for stage, back in itertools.product((ShadingStage.REQUEST, ShadingStage.OCCLUSION), (miss, surface)):
                     self._launch_stage(stage, back, work, film)
                 miss, surface = self._lists.back(paths.status, bound)  # without those that wait for answers
@@ -290,6 +291,8 @@ class TileIntegrator:
                 for back in (miss, surface):
                     self._launch_volumes(VolumeStage.SCATTER, back, work)
                 miss, surface = self._lists.back(paths.status, bound)  # without those that scattered
+            if self.textures:
+                miss, surface = self.textures.ready_paths(self._lists, surface, work, limits, paths, rays)
             self._launch_stage(ShadingStage.LIGHT_HITS, miss, work, film)
             self._catch(miss)
             self._launch_stage(ShadingStage.BACKGROUND, miss, work, film)
@@ -319,6 +322,8 @@ class TileIntegrator:
         with self._timer.stage("film"):
             self._launch_over(self._kernels.accumulate, done, work, self._paths, film)
         lengths = self._lists.counts.fetch()
+        if self.textures:
+            self.textures.bring()
         if lengths[Length.MATTES]:
             self._mattes = self._mattes.plus(self._film_tiles.mattes_aside(lengths[Length.MATTES]))
         if self._film_tiles.take_spill(film, lengths[Length.SPILL]):
@@ -336,12 +341,9 @@ class TileIntegrator:
     def _give_up(self, state: TileState) -> None:
         """Leave the rays that are under way; the tile can be shown but not resumed."""
         state.drained = False
-        self._paths.status.zero_()
-        if self._passes:
-            self._passes.values.zero_()
-            self._passes.life.zero_()
-        if self._requests:
-            self._requests.phase.zero_()
+        self._arrays.free_all()
+        if self.textures:
+            self.textures.forget()
         self._alive = 0
         # rays of the next turn were not traced
         self.rays.bounced -= self._bounced.bound
@@ -375,14 +377,14 @@ class TileIntegrator:
         kernel = self._kernels.shading.get(stage)
         if kernel is not None:
             work.stage = int(stage)
-            inputs = self._scene.data, work, self._limits, self._paths, self._rays, film, slots.slots, slots.count
+            inputs = self._data, work, self._limits, self._paths, self._rays, film, slots.slots, slots.count
             self._launch(kernel, stage_thread_count(slots.bound, self.device), *inputs)
 
     def _launch_volumes(self, stage: VolumeStage, slots: RayList, work: TileWork) -> None:
         volumes = self._kernels.volumes
         kernel = volumes.scatter if stage is VolumeStage.SCATTER else volumes.transmit
         work.stage = int(stage)
-        inputs = self._scene.data, self.volumes, work, self._limits, self._paths, self._rays
+        inputs = self._data, self.volumes, work, self._limits, self._paths, self._rays
         self._launch_over(kernel, slots, *inputs)
 
     def _catch(self, slots: RayList) -> None:

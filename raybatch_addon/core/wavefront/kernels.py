@@ -41,6 +41,7 @@ from .stages.surface.features import SurfaceFeatures
 from .stages.surface.shade import make_shade_surface
 from .stages.walk import WalkFeatures, walk_kernel
 from .stages.work import ShadingStage
+from .textures.stage import fetch_kernels
 from .tracers.choose import tracer_kernels
 from .volumes.volumes import VolumeKernels
 
@@ -58,6 +59,7 @@ class StageKernels:
     accumulate: wp.Kernel
     resolve: wp.Kernel
     catchers: tuple[wp.Kernel, ...] = ()  # none: no surface catches shadows
+    textures: tuple[wp.Kernel | None, ...] = ()  # none: all images are whole
 
     @staticmethod
     def choose(features: SceneFeatures, device: wp.Device, shading: SceneFeatures | None = None) -> StageKernels:
@@ -74,7 +76,7 @@ class StageKernels:
         kernels = [*stages, *path_list_kernels(walks=self.walk is not None), add_spill_kernel]
         if self.volumes:
             kernels += self.volumes.all()
-        kernels += self.catchers
+        kernels += [*self.catchers, *self.textures]
         if self.generate_active:
             kernels += [self.generate_active, *ADAPTIVE_KERNELS]
         return list(dict.fromkeys(kernel for kernel in kernels if kernel is not None))
@@ -111,6 +113,7 @@ def _chosen(features: SceneFeatures, shading: SceneFeatures, is_cuda: bool, out_
         accumulate=accumulate_kernel(layout),
         resolve=resolve_kernel(layout),
         catchers=CATCHER_KERNELS if features.catchers else (),
+        textures=fetch_kernels(features, shading, is_cuda),
     )
 
 

@@ -21,6 +21,7 @@ from ..scene.features import SceneFeatures
 from ..shading.lights.choice import LitPoint, lit_point
 from .passes.state import PathPasses, pass_bytes_per_path
 from .requests.state import Requests, request_bytes_per_path
+from .textures.state import texture_bytes_per_path
 from .volumes.table import state_bytes_per_path
 
 
@@ -333,6 +334,7 @@ def bytes_per_path(features: SceneFeatures, reference: bool = False, paths: Scen
     path = sum(wp.types.type_size_in_bytes(array.type.dtype) for array in arrays)
     path += pass_bytes_per_path(features)
     path += request_bytes_per_path(features) + 12 * features.request_program.answer_count
+    path += texture_bytes_per_path(features)
     if features.volumes:
         path += state_bytes_per_path()
     return path + RayNeeds.of(features, reference).bytes_per_path + LIST_BYTES_PER_PATH

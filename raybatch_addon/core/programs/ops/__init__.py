@@ -26,6 +26,7 @@ from .textures import (  # noqa: F401
     noise,
     radial_tiling,
     sky,
+    tiled_images,
     wave,
     white_noise,
 )

@@ -12,24 +12,14 @@ import warp as wp
 from ...scene.description import Image, ImageEncoding
 from ...scene.frozen import is_frozen
 from .levels import FilteredImage, ImageLevels, coarser_levels, level_encoding, level_sizes
+from .storage import TEXEL_KINDS, Part, finite_texels, uploaded_texels, with_alpha
 from .textures import TILE_COLUMNS, ImageEntry, ImageTable, Texels
+from .tiled.pictures import TiledImage, TiledPicture, TileSource, tiled_picture
 
 FIRST_TILE = 1001  # number of the tile at texture coordinates 0..1 (UDIM)
 LAST_TILE = 2000  # number of the last tile that Blender has
 TEXELS_MAX = 2**31 - 1  # most texels of one picture: an int32 counts them
 EDGE_LEAST = 16  # pictures are not made smaller than this to save memory [texels]
-
-_ALIGNMENT = 8  # alignment of addresses [bytes]: texels are loaded whole, up to this many bytes at a time
-
-_KINDS = {
-    ("uint8", 1): (Texels.BYTE, wp.uint8),
-    ("uint8", 3): (Texels.BYTE3, wp.uint8),
-    ("uint8", 4): (Texels.BYTE4, wp.vec4ub),
-    ("float16", 1): (Texels.HALF, wp.float16),
-    ("float16", 4): (Texels.HALF4, wp.vec4h),
-    ("float32", 1): (Texels.FLOAT, wp.float32),
-    ("float32", 4): (Texels.FLOAT4, wp.vec4),
-}
 
 
 @dataclass(kw_only=True)
@@ -68,6 +58,26 @@ class _Picture:
         """What of it is levels [bytes]."""
         return self.levels.size * wp.types.type_size_in_bytes(self.levels.dtype) if self.levels else 0
 
+    @property
+    def device(self) -> wp.Device:
+        """Where it is."""
+        return self.array.device
+
+    @property
+    def arrays(self) -> list[wp.array]:
+        """Its arrays on the device."""
+        return [each for each in (self.array, self.levels) if each is not None]
+
+    def parts(self) -> list[Part]:
+        """The picture, and its levels."""
+        found = [Part(self.array.ptr, int(self.texels), self.width, self.height)]
+        if self.levels is not None:
+            address = self.levels.ptr
+            for width, height in level_sizes(self.width, self.height):
+                found.append(Part(address, int(self.texels), width, height))
+                address += width * height * self.texel_bytes
+        return found
+
 
 @dataclass(frozen=True)
 class _Wanted:
@@ -78,11 +88,12 @@ class _Wanted:
     levels: ImageLevels
     encoding: ImageEncoding
     device_bytes: int
+    slot_bytes: int = 0  # of a slot for its tiles; 0: it is whole
 
     @property
     def key(self) -> tuple[int, ...]:
         """What the picture on the device follows from, the array of pixels by its identity."""
-        return (id(self.pixels), int(self.levels), int(self.encoding) if self.levels else 0)
+        return (id(self.pixels), int(self.levels), int(self.encoding) if self.levels else 0, self.slot_bytes)
 
 
 @dataclass
@@ -94,13 +105,14 @@ class UploadedImages:
     bytes: int = 0  # memory on the device
     level_bytes: int = 0  # what of it is levels
     keep: list[wp.array] = field(default_factory=list)  # arrays of the pictures: the table holds addresses alone
+    tiled: TileSource | None = None  # of pictures in tiles, which are missing in `table`; None: there are none
 
 
 class ImageCache:
     """The pictures of the last upload; a frozen array of pixels that was uploaded already is not uploaded again."""
 
     def __init__(self) -> None:
-        self._pictures: dict[tuple[int, ...], _Picture] = {}  # by `_Wanted.key`
+        self._pictures: dict[tuple[int, ...], _Picture | TiledPicture] = {}  # by `_Wanted.key`
 
     @property
     def device_bytes(self) -> int:
@@ -115,16 +127,22 @@ class ImageCache:
     def upload(self, images: Sequence[Image], device, budget: int | None = None) -> UploadedImages:
         """The table of `images` on `device`.
 
-        Pictures are made smaller until all fit in `budget` bytes (None: no limit), as far as that can go. Texels that
-        are not finite become black. The warnings name the images of both.
+        Pictures are made smaller until all of them fit in `budget` bytes (None: no limit), as far as that can go. Where
+        some are in tiles, the others have half of it. Texels that are not finite become black. The warnings name the
+        images of both.
         """
         device = wp.get_device(device)
         done = UploadedImages(ImageTable())
         wanted = list(_wanted(images, done.warnings))
+        if budget is not None and any(each and each.slot_bytes for each in wanted):
+            budget //= 2  # the other half is for tiles
         halvings = _halvings(wanted, budget)
         entries, tiles, arrays = self._entries(images, wanted, halvings, device, done)
-        done.table.entries = wp.array(entries, dtype=ImageEntry, device=device)
         done.table.tiles = wp.array(tiles, dtype=int, device=device)
+        if done.tiled:
+            done.tiled.entries, done.tiled.table_tiles = entries, done.table.tiles
+            entries = done.tiled.without_tiled()
+        done.table.entries = wp.array(entries, dtype=ImageEntry, device=device)
         done.keep = arrays
         return done
 
@@ -139,7 +157,7 @@ class ImageCache:
         tiles: list[int] = []
         entries = np.zeros(len(images) + sum(len(image.tiles or ()) for image in images), ImageEntry.numpy_dtype())
         next_entry, next_picture = len(images), iter(pictures)
-        placed: list[tuple[int, _Picture | None]] = []  # pictures, and their entries
+        placed: list[tuple[int, _Picture | TiledPicture | None]] = []  # pictures, and their entries
         for row, image in enumerate(images):
             entries[row]["encoding"] = int(image.encoding)
             if image.tiles is None:
@@ -156,18 +174,20 @@ class ImageCache:
                     own[number - FIRST_TILE] = next_entry
                 next_entry += 1
             tiles += own
-        entries = _described(entries, placed)
         there = list(self._pictures.values())
+        if any(isinstance(picture, TiledPicture) for picture in there):
+            done.tiled = TileSource(device)
+        entries = _described(entries, placed, done.tiled)
         done.bytes = sum(picture.bytes for picture in there) + entries.nbytes + 4 * len(tiles)
         done.level_bytes = sum(picture.level_bytes for picture in there)
-        arrays = [each for picture in there for each in (picture.array, picture.levels) if each is not None]
+        arrays = [each for picture in there for each in picture.arrays]
         return entries, np.array(tiles, np.int32), arrays
 
     def _picture(
-        self, wanted: _Wanted, halvings: int, before: _Picture | None, device, warnings: list[str]
-    ) -> _Picture:
+        self, wanted: _Wanted, halvings: int, before: _Picture | TiledPicture | None, device, warnings: list[str]
+    ) -> _Picture | TiledPicture:
         own = self._pictures.get(wanted.key) or before
-        if own is None or own.source() is not wanted.pixels or own.halvings != halvings or own.array.device != device:
+        if own is None or own.source() is not wanted.pixels or own.halvings != halvings or own.device != device:
             own = _upload(wanted, halvings, device)
         self._pictures[wanted.key] = own
         if own.replaced:
@@ -194,29 +214,31 @@ def _rows_of(pixels_by_index) -> int:
     )
 
 
-def _described(entries: np.ndarray, placed: Sequence[tuple[int, _Picture | None]]) -> np.ndarray:
-    """`entries` with the pictures of `placed` described in theirs, and more entries behind them for levels."""
-    rows = np.zeros(sum(len(level_sizes(p.width, p.height)) for _, p in placed if p and p.levels), entries.dtype)
-    count = 0
+def _described(
+    entries: np.ndarray, placed: Sequence[tuple[int, _Picture | TiledPicture | None]], tiled: TileSource | None
+) -> np.ndarray:
+    """`entries` with the pictures of `placed` described in theirs, and more entries behind them for levels; those in
+    tiles get their place in `tiled`.
+    """
+    rows: list[np.ndarray] = []
     for index, picture in placed:
         entry = entries[index]
         if picture is None:
             entry["texels"] = int(Texels.MISSING)
             continue
-        entry["address"], entry["texels"] = picture.array.ptr, int(picture.texels)
-        entry["width"], entry["height"] = picture.width, picture.height
-        if picture.levels is None:
-            continue
-        sizes = level_sizes(picture.width, picture.height)
-        entry["tile_first"] = len(entries) + count if sizes else 0
-        address = picture.levels.ptr
-        for width, height in sizes:
-            rows[count] = entry
-            rows[count]["address"], rows[count]["width"], rows[count]["height"] = address, width, height
-            rows[count]["tile_first"], rows[count]["encoding"] = 0, picture.level_encoding
-            address += width * height * picture.texel_bytes
-            count += 1
-    return np.concatenate([entries, rows])
+        whole, *levels = tiled.place(picture) if isinstance(picture, TiledPicture) else picture.parts()
+        _describe(entry, whole)
+        entry["tile_first"] = len(entries) + len(rows) if levels else 0
+        for level in levels:
+            rows.append(entry.copy())
+            _describe(rows[-1], level)
+            rows[-1]["tile_first"], rows[-1]["encoding"] = 0, picture.level_encoding
+    return np.concatenate([entries, np.array(rows, entries.dtype)])
+
+
+def _describe(entry: np.ndarray, part: Part) -> None:
+    for name in ("address", "texels", "width", "height"):
+        entry[name] = getattr(part, name)
 
 
 def _wanted(images: Sequence[Image], warnings: list[str]) -> Iterator[_Wanted | None]:
@@ -245,11 +267,17 @@ def _wanted(images: Sequence[Image], warnings: list[str]) -> Iterator[_Wanted | 
                 channels = 1 if pixels.shape[2] == 1 else 4  # on a CPU, where all images fit, bytes may be three
                 sizes = [pixels.shape[1::-1]] + (level_sizes(pixels.shape[1], pixels.shape[0]) if levels else [])
                 texels = sum(int(width) * int(height) for width, height in sizes)
-                yield _Wanted(label, pixels, levels, image.encoding, texels * channels * pixels.itemsize)
+                slot_bytes = image.slot_bytes if isinstance(image, TiledImage) else 0
+                if pixels.shape[0] * pixels.shape[1] * channels * pixels.itemsize <= slot_bytes:
+                    slot_bytes = 0  # as a part of a tile it would take as much
+                yield _Wanted(label, pixels, levels, image.encoding, texels * channels * pixels.itemsize, slot_bytes)
 
 
 def _halvings(wanted: Sequence[_Wanted | None], budget: int | None) -> list[int]:
-    """How many times each picture is halved in width and height: the largest first, until all fit `budget`."""
+    """How many times each picture is halved in width and height: the largest first, until all that are not in tiles fit
+    `budget`.
+    """
+    wanted = [None if each is None or each.slot_bytes else each for each in wanted]
     counts = [0] * len(wanted)
     sizes = [0 if each is None else each.device_bytes for each in wanted]
     for i, each in enumerate(wanted):
@@ -269,27 +297,28 @@ def _halvings(wanted: Sequence[_Wanted | None], budget: int | None) -> list[int]
     return [0 if each is None else counts[first[each.key]] for each in wanted]
 
 
-def _upload(wanted: _Wanted, halvings: int, device) -> _Picture:
+def _upload(wanted: _Wanted, halvings: int, device) -> _Picture | TiledPicture:
     pixels = wanted.pixels
+    if wanted.slot_bytes:
+        return tiled_picture(pixels, wanted.levels, wanted.encoding, wanted.slot_bytes, device)
     own, replaced = pixels, 0
     if pixels.dtype != np.uint8:
-        own, replaced = _finite(pixels)
+        own, replaced = finite_texels(pixels)
     for _ in range(halvings):
         own = halved(own)
     # three bytes take a quarter less memory, and on a CPU less time, than four; a GPU loads four at once
     many = own.size > TEXELS_MAX  # bytes, which Warp counts by an int32
     if own.shape[2] == 3 and (own.dtype != np.uint8 or device.is_cuda or many):
-        opaque = 255 if own.dtype == np.uint8 else 1
-        own = np.concatenate([own, np.full((*own.shape[:2], 1), opaque, own.dtype)], 2)
+        own = with_alpha(own)
     height, width, channels = own.shape
-    texels, dtype = _KINDS[own.dtype.name, channels]
-    array = _uploaded(own, dtype, device)
+    texels, dtype = TEXEL_KINDS[own.dtype.name, channels]
+    array = uploaded_texels(own, dtype, device)
     levels, encoding = None, level_encoding(own.dtype, wanted.encoding)
     if wanted.levels and max(width, height) > 1:
         flat = np.concatenate(
             [each.reshape(-1, channels) for each in coarser_levels(own, wanted.encoding, wanted.levels)]
         )
-        levels = _uploaded(flat, dtype, device)
+        levels = uploaded_texels(flat, dtype, device)
     return _Picture(
         source=weakref.ref(pixels),
         halvings=halvings,
@@ -301,26 +330,6 @@ def _upload(wanted: _Wanted, halvings: int, device) -> _Picture:
         levels=levels,
         level_encoding=encoding,
     )
-
-
-def _uploaded(pixels: np.ndarray, dtype: type, device) -> wp.array:
-    """Texels [..., 1 or 4] one after another on the device."""
-    flat = np.ascontiguousarray(pixels).reshape((-1, 4) if pixels.shape[-1] == 4 else -1)
-    if flat.ctypes.data % _ALIGNMENT:
-        flat = flat.copy()
-    # on the CPU this is the memory of the pixels itself, which `keep` holds
-    return wp.array(flat, dtype=dtype, device=device, copy=device.is_cuda)
-
-
-def _finite(pixels: np.ndarray) -> tuple[np.ndarray, int]:
-    """`pixels` with every texel black that has a channel that is not finite, and the number of these texels."""
-    good = np.isfinite(pixels).all(2)
-    bad = good.size - int(np.count_nonzero(good))
-    if not bad:
-        return pixels, 0
-    own = pixels.copy()
-    own[~good] = 0
-    return own, bad
 
 
 def halved(pixels: np.ndarray) -> np.ndarray:

@@ -369,3 +369,7 @@ def sample_level(
         above = wp.min(level, level_count(image.width, image.height))
         image = table.entries[image.tile_first + above - 1]
     return _sample_level(image, place.u, place.v, interpolation, extension, divide)
+
+
+# What look-ups of tiles share (`tiled/look_up.py`): renamed, the code of all kernels with images would be another
+texel, near, wrapped, tap_weight, without_alpha = _texel, _near, _wrapped, _tap_weight, _without_alpha

@@ -17,6 +17,7 @@ from ..adaptive.active_pixels import ActivePixels
 from ..integrator import TileIntegrator
 from ..order.sort_policy import merged_reports
 from ..scene.device_scene import DeviceScene
+from ..textures.pool import TileTotals
 from .resume import ResumeState
 from .rounds import RoundPolicy
 
@@ -80,6 +81,12 @@ def batching_totals(integrators: Sequence[TileIntegrator]) -> BatchingTotals | N
     """What the workers' rays waited for; None where no ray waits."""
     found = [totals for totals in (integrator.batching_totals() for integrator in integrators) if totals]
     return functools.reduce(BatchingTotals.merge, found) if found else None
+
+
+def tile_totals(integrators: Sequence[TileIntegrator]) -> TileTotals | None:
+    """What the workers fetched of images; None where all images are whole."""
+    found = [each.textures.totals() for each in integrators if each.textures]
+    return functools.reduce(TileTotals.merge, found) if found else None
 
 
 def volume_counts(integrators: Sequence[TileIntegrator]) -> VolumeCounts | None:

@@ -20,6 +20,7 @@ from ..rays import bytes_per_path
 from ..scene.device_scene import DeviceScene
 from ..scene.kept_scene import KeptScene, settings_but_seeds
 from ..scheduler import paths_a_worker, reduced_path_count, water_marks
+from ..textures.pool import tile_slots_of
 from ..tier import array_features
 from ..tracers.buckets.tracer import selection_of
 from ..tracers.choose import tracer_bytes_per_path
@@ -95,13 +96,17 @@ def make_workers(
     # no tile needs more paths than it has samples
     asked = min(paths_a_worker(settings, workers, device.is_cuda, paged), max(areas) * sample_count)
     made.path_bytes = each = path_bytes(scene, frame, settings, asked)
-    layout = layout_of(frame.passes, frame.transparent)
+    layout, slots, slot_bytes = layout_of(frame.passes, frame.transparent), 0, 0  # of tiles of images
+    if scene.fetches is not None and scene.images.tiled:
+        slots = tile_slots_of(scene.images.tiled, scene.image_budget, scene.images.bytes, workers, scene.tiles_least)
+        slot_bytes = scene.images.tiled.slot_bytes
     # sums of finished tiles stay on a CUDA device until the film is asked for them
     tile_bytes = (sum(areas) if device.is_cuda else max(areas)) * (layout.count * WINDOW_DIGITS + 1) * 8
     if settings.half_count == 2:
         tile_bytes *= 3  # of both halves, and of their sum while a picture is made of it
     if settings.is_adaptive:
         tile_bytes += LOOK_BYTES * (sum(areas) if device.is_cuda else max(areas))
+    tile_bytes += slots * slot_bytes
     sorting = order_bytes(scene.tracing.sort_mode(settings), asked, device.is_cuda)
     if scene.hits_sorted_by(settings):
         sorting += hit_order_bytes(asked)
@@ -117,7 +122,7 @@ def make_workers(
         try:
             marks = water_marks(settings, count)
             made.worker_bytes = count * each + tile_bytes + sorting + SPILL_BYTES
-            made.integrators = [TileIntegrator(scene, frame, settings, marks) for _ in range(workers)]
+            made.integrators = [TileIntegrator(scene, frame, settings, marks, slots) for _ in range(workers)]
             break
         except (MemoryError, RuntimeError) as error:
             if count == 1 or not ("memory" in str(error).lower() or isinstance(error, MemoryError)):

@@ -15,8 +15,10 @@ from ...bvh.tree import Tree
 from ...bvh.treelets.tree import TreeletTree
 from ...native.structs import Upload, arrays_in
 from ...programs.inputs_data import upload_camera_inputs, with_camera
+from ...programs.op import NodeData
 from ...programs.parts import transparent_parts
 from ...programs.table import store_programs, upload_programs
+from ...programs.tiling import fetch_part, tiles_at_once
 from ...scene.description import ClosureKind, Scene
 from ...scene.features import SceneFeatures
 from ...scene.program import Program
@@ -25,6 +27,7 @@ from ...shading.bsdf.bsdf import ClosureFeatures, upload_materials
 from ...shading.bsdf.materials import material_bins
 from ...shading.camera import CameraData, upload_camera
 from ...shading.images.image_upload import UploadedImages
+from ...shading.images.textures import ImageTable
 from ...shading.lights.choice_table import choice_tree
 from ...shading.lights.emissive.arrays import triangle_arrays
 from ...shading.lights.emitters import emits_light, find_emissive_triangles
@@ -40,7 +43,7 @@ from ..volumes.upload import UploadedVolumes, upload_volumes
 from .geometry_request import GeometryRequest
 from .paged_tree import PagedTree
 from .scene_cache import BuiltGeometry, SceneCache
-from .shading_data import SceneData
+from .shading_data import SceneData, with_images, with_surface_images
 from .world_cache import WorldCache
 
 
@@ -67,6 +70,9 @@ class DeviceScene:
     hit_bins: int  # numbers that `MaterialRecord.bin` has
     volumes: UploadedVolumes | None = None  # None: there are none
     splits: Choice | None = None  # whether the tree splits triangles, where that is not as planned
+    fetches: NodeData | None = None  # programs that ask for tiles of images; None: all images are whole
+    image_budget: int = 0  # for all images, where some are in tiles [bytes]
+    tiles_least: int = 0  # that one path may need at once
 
     @staticmethod
     def build(
@@ -92,7 +98,10 @@ class DeviceScene:
         data = SceneData()
         built = treelets = None
         passing: list[Program | None] = []
-        images = cache.images.upload(scene.images, device, cache.image_budget(device))
+        # what has to be whole is never made smaller for a budget that was asked for: that would change the picture
+        budget = None if request.settings.texture_budget else cache.image_budget(device)
+        images = cache.images.upload(scene.images, device, budget)
+        fetches, fetching = None, [each.program and each.program.fetches for each in scene.materials]
         if features.surfaces:
             on_stage("tree")
             kept = cache.get(scene, request, device)
@@ -112,16 +121,13 @@ class DeviceScene:
                 cache.inputs.clear()
             else:
                 inputs = with_camera(cache.inputs.get(scene, features.programs.ops, device), scene)
-            data.nodes = upload_programs(
-                programs,
-                features.programs,
-                scene,
-                data.geometry,
-                images.table,
-                device,
-                inputs=inputs,
-                upload=keep("surfaces"),
+            uploaded = functools.partial(
+                upload_programs, scene=scene, geometry=data.geometry, images=images.table, device=device, inputs=inputs
             )
+            data.nodes = uploaded(programs, features.programs, upload=keep("surfaces"))
+            if needs := features.fetch_program:
+                fetching += [each and fetch_part(each, needs.register_count) for each in passing]
+                fetches = uploaded(fetching, needs, upload=keep("fetches"))
         data.world_nodes = upload_programs(
             [scene.world.program],
             features.world_program,
@@ -192,7 +198,19 @@ class DeviceScene:
             volumes=volumes,
             hit_bins=max(material_bins(scene.materials), default=0) + 1,
             splits=_splits_of(built, request.plan) if isinstance(built, BuiltTree) else None,
+            fetches=fetches,
+            image_budget=request.settings.texture_budget or budget or 0,
+            tiles_least=tiles_at_once(fetching),
         )
+
+    def data_with(self, images: ImageTable) -> SceneData:
+        """`data` whose surfaces look up `images`."""
+        return with_surface_images(self.data, images)
+
+    def fetches_with(self, images: ImageTable) -> NodeData:
+        """`fetches` that look at `images`."""
+        assert self.fetches is not None
+        return with_images(self.fetches, images)
 
     @property
     def warnings(self) -> list[str]:

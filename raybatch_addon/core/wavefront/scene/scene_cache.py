@@ -26,6 +26,7 @@ from ...displacement.displaced import DisplacedMeshes
 from ...displacement.evaluate import Move
 from ...kept_arrays import KeptArrays
 from ...programs.inputs_data import bytes_of
+from ...programs.tiling import images_of_displacement
 from ...scene.description import Image, Scene
 from ...scene.flatten import FlatGeometry
 from ...scene.frozen import Same
@@ -145,9 +146,11 @@ class SceneCache:
             return None
         return int(IMAGE_SHARE * (self._free(device) + self.images.device_bytes))
 
-    def free_for_geometry(self, images: Sequence[Image], device: wp.Device) -> int:
-        """Memory that the geometry of a frame with `images` may have on `device` [bytes]."""
-        budget = self.image_budget(device)
+    def free_for_geometry(self, images: Sequence[Image], device: wp.Device, asked: int = 0) -> int:
+        """Memory that the geometry of a frame with `images` may have on `device` [bytes]. `asked`: what these may take
+        by the setting `texture_budget`; 0: `image_budget`.
+        """
+        budget = asked or self.image_budget(device)
         images_need = 0 if budget is None else min(device_bytes_of(images), budget) - self.images.device_bytes
         return self._free(device) - images_need
 
@@ -155,12 +158,15 @@ class SceneCache:
         """Free memory of `device` without all that is kept of the last frame but its images [bytes]."""
         return free_memory(device) + self.device_bytes + self.world.device_bytes + self._beside()
 
-    def displaced(self, scene: Scene, device: wp.Device, move: Move) -> Scene:
-        """`scene` with the vertices where its materials move them, whose programs `move` runs."""
+    def displaced(self, scene: Scene, device: wp.Device, move: Move, asked: int = 0) -> Scene:
+        """`scene` with the vertices where its materials move them, whose programs `move` runs. `asked`: as for
+        `free_for_geometry`.
+        """
 
         @functools.cache
         def images() -> UploadedImages:  # held until all is displaced: the table has addresses alone
-            return self.images.upload(scene.images, device, self.image_budget(device))
+            budget = self.image_budget(device)
+            return self.images.upload(images_of_displacement(scene, asked or budget), device, None if asked else budget)
 
         return self._displaced.displaced(scene, lambda: images().table, device, move)
 

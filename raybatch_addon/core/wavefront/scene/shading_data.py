@@ -7,6 +7,7 @@ import warp as wp
 from ...programs.op import NodeData
 from ...scene.geometry import Geometry
 from ...shading.bsdf.materials import MaterialTable
+from ...shading.images.textures import ImageTable
 from ...shading.lights.table import LightTable
 
 
@@ -24,6 +25,27 @@ class SceneData:
     world_visibility: int
     view_origin: wp.vec3  # of the camera, for depth
     view_axis: wp.vec3  # unit; 0 where depth is the distance from the camera
+
+
+def with_images(nodes: NodeData, images: ImageTable) -> NodeData:
+    """`nodes` whose ops look up `images`."""
+    made = _copied(nodes)
+    made.images = images
+    return made
+
+
+def with_surface_images(data: SceneData, images: ImageTable) -> SceneData:
+    """`data` in which the materials' programs look up `images`."""
+    made = _copied(data)
+    made.nodes = with_images(data.nodes, images)
+    return made
+
+
+def _copied(value):
+    made = value._cls()
+    for name in value._cls.vars:
+        setattr(made, name, getattr(value, name))
+    return made
 
 
 @wp.func

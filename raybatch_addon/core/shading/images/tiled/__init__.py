@@ -1,0 +1,1 @@
+"""Pictures in tiles, of which the device holds those that paths ask for."""

@@ -1,0 +1,213 @@
+"""Slots on the device for tiles of images, and which tile is in which.
+
+Between two turns of a worker's loop the tiles that its waiting rays need are brought in: all of them where they have
+room, else those that the next ray needs, and then those that most look-ups want. Where slots are needed the tile leaves
+that was read the longest time ago. While kernels run the slots stay as they are, so that whoever found all of its tiles
+finds them until it is shaded.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ...device.kernel import KERNEL_OPTIONS
+from ...errors import OutOfMemoryError
+from ...native.structs import record_type, upload_records
+from ...shading.images.textures import ImageEntry, ImageTable
+from ...shading.images.tiled.look_up import MARKS, PINNED, SEEN, WANTED
+from ...shading.images.tiled.pictures import TileSource
+
+_WORD_BYTES = 8  # slots are copied by words on a GPU
+# Bytes of tiles that are copied to a GPU at once, and bytes of an array of slots
+_STAGED_BYTES, _BLOCK_BYTES = 64 << 20, 1 << 30
+
+
+@dataclass(kw_only=True)
+class TileTotals:
+    """What was brought to one pool, or to several together."""
+
+    tiles: int = 0  # of all images
+    slots: int = 0
+    slot_bytes: int = 0
+    fetched: int = 0
+    evicted: int = 0
+    bytes: int = 0  # of the fetched ones
+    turns: int = 0  # in which some were
+    seconds: float = 0.0  # that took
+    looked: int = 0  # times that a ray looked up images in tiles
+    waited: int = 0  # times that it had to wait
+    lost: int = 0  # look-ups that found no tile: a fault
+
+    def report(self) -> dict[str, Any]:
+        """For the statistics (see docs/statistics.md)."""
+        share = self.waited / self.looked if self.looked else 0.0
+        return {**dataclasses.asdict(self), "seconds": round(self.seconds, 6), "waited_share": round(share, 6)}
+
+    def warnings(self) -> list[str]:
+        """A fault, where there is one."""
+        if not self.lost:
+            return []
+        return [
+            f"{self.lost:,} look-ups of images found a tile that was not there, and are black; this is a fault, please "
+            "report the scene"
+        ]
+
+    def merge(self, other: TileTotals) -> TileTotals:
+        """Both together, of the same images."""
+        merged = {
+            each.name: getattr(self, each.name) + getattr(other, each.name) for each in dataclasses.fields(TileTotals)
+        }
+        return TileTotals(**{**merged, "tiles": self.tiles, "slot_bytes": self.slot_bytes})
+
+
+def tile_slots_of(source: TileSource, budget: int, whole: int, workers: int, least: int) -> int:
+    """Slots of each of `workers`, of `budget` bytes for all of them and for `whole` bytes of images that are not in
+    tiles; at most one for each tile. Raises `OutOfMemoryError` where they are fewer than `least`, which one path may
+    need at once.
+    """
+    least = min(least, source.tile_count)
+    slots = min(max(budget - whole, 0) // workers // source.slot_bytes, source.tile_count)
+    if slots < least:
+        raise OutOfMemoryError(
+            f"texture_budget is {budget:,} bytes, and this scene needs {whole + least * workers * source.slot_bytes:,} "
+            f"at least: {whole:,} for images that are not in tiles, and for each of {workers} workers {least} tiles of "
+            f"{source.slot_bytes:,}, which one path may read at once; raise it, or lower texture_tile_size or "
+            "thread_count, or set it to 0"
+        )
+    return slots
+
+
+class TilePool:
+    """The slots of one worker, and its table of images."""
+
+    def __init__(self, source: TileSource, slots: int, staged: bool | None = None):
+        """`slots` for tiles of `source`. `staged`: tiles come in a buffer, many in one copy (default: on a GPU)."""
+        self._source, self._device = source, source.device
+        device, numbers, size = source.device, source.number_count, source.slot_bytes
+        self._addresses = np.zeros(numbers, np.uint64)
+        self._on_device = wp.zeros(numbers, dtype=wp.uint64, device=device)
+        self._marks = wp.zeros(MARKS * numbers, dtype=int, device=device)
+        self._addresses[source.rows] = self._marks.ptr + 4 * MARKS * source.rows.astype(np.uint64)
+        self._is_tile = np.ones(numbers, bool)
+        self._is_tile[source.rows] = False
+        self._per_block = max(1, _BLOCK_BYTES // size)
+        self._blocks = [
+            wp.zeros((min(self._per_block, slots - first), size // _WORD_BYTES), dtype=wp.uint64, device=device)
+            for first in range(0, slots, self._per_block)
+        ]
+        self._tile_in = np.full(slots, -1, np.int64)  # number of the tile in a slot; -1: none
+        self._slot_of = np.full(numbers, -1, np.int64)
+        self._used_at = np.zeros(numbers, np.int64)  # when it was read last, by the count of turns that brought tiles
+        is_staged = device.is_cuda if staged is None else staged
+        self._staging = _Staging(device, size, slots) if is_staged else None
+        self.totals = TileTotals(tiles=source.tile_count, slots=slots, slot_bytes=size)
+        self.table = ImageTable()
+        entries = source.entries_at(self._on_device.ptr).astype(record_type(ImageEntry))
+        self.table.entries = upload_records(entries, ImageEntry, device)
+        self.table.tiles = source.table_tiles
+        self._show()
+
+    def begin(self) -> None:
+        """Count anew; tiles stay where they are."""
+        self._count_lost()
+        totals = self.totals
+        self.totals = TileTotals(tiles=totals.tiles, slots=totals.slots, slot_bytes=totals.slot_bytes)
+
+    def bring(self) -> None:
+        """Bring the tiles that waiting rays want by the marks, which are cleared."""
+        started = time.perf_counter()
+        marks = self._marks.numpy().reshape(-1, MARKS)
+        self.totals.lost += int(marks[~self._is_tile, WANTED].sum())
+        self.totals.turns += 1
+        self._used_at[marks[:, SEEN] != 0] = self.totals.turns
+        wanted = np.flatnonzero((marks[:, WANTED] != 0) & self._is_tile)
+        if len(wanted) > len(self._tile_in):
+            order = np.lexsort((wanted, -marks[wanted, WANTED], -marks[wanted, PINNED]))
+            wanted = np.sort(wanted[order[: len(self._tile_in)]])
+        self._used_at[wanted] = self.totals.turns
+        self._fill(wanted[self._slot_of[wanted] < 0], wanted)
+        self._marks.zero_()
+        self.totals.seconds += time.perf_counter() - started
+
+    def count(self) -> TileTotals:
+        """What was done since `begin`; waits for the device."""
+        self._count_lost()
+        return self.totals
+
+    def _count_lost(self) -> None:
+        marks = self._marks.numpy().reshape(-1, MARKS)
+        self.totals.lost += int(marks[~self._is_tile, WANTED].sum())
+        self._marks.zero_()
+
+    def _fill(self, missing: np.ndarray, wanted: np.ndarray) -> None:
+        """Bring the tiles `missing`, into slots whose tile is none of `wanted`."""
+        if not len(missing):
+            return
+        stays = np.zeros(len(self._slot_of), bool)
+        stays[wanted] = True
+        there = self._tile_in >= 0
+        free = np.flatnonzero(~there | ~stays[self._tile_in])
+        age = np.where(there[free], self._used_at[self._tile_in[free]], -1)
+        slots = free[np.lexsort((free, age))][: len(missing)]
+        left = self._tile_in[slots]
+        left = left[left >= 0]
+        self._slot_of[left], self._addresses[left] = -1, 0
+        self._tile_in[slots], self._slot_of[missing] = missing, slots
+        self._addresses[missing] = [self._address(slot) for slot in slots.tolist()]
+        if self._staging:
+            self._staging.copy(self._source, missing, self._addresses[missing], self.totals)
+        else:
+            for number, slot in zip(missing.tolist(), slots.tolist()):
+                block, row = divmod(slot, self._per_block)
+                target = self._blocks[block].numpy()[row].view(np.uint8)
+                self.totals.bytes += self._source.copy_tile(number, target)
+        self.totals.fetched += len(missing)
+        self.totals.evicted += len(left)
+        self._show()
+
+    def _address(self, slot: int) -> int:
+        block, row = divmod(slot, self._per_block)
+        return self._blocks[block].ptr + row * self._source.slot_bytes
+
+    def _show(self) -> None:
+        """Let kernels from now on find the tiles that are there."""
+        wp.copy(self._on_device, wp.array(self._addresses, dtype=wp.uint64, device="cpu", copy=False))
+
+
+class _Staging:
+    """A buffer for tiles on their way to a device: many in one copy, and each from there to its slot."""
+
+    def __init__(self, device: wp.Device, slot_bytes: int, slots: int):
+        self._most = max(1, min(slots, _STAGED_BYTES // slot_bytes))
+        self._words = slot_bytes // _WORD_BYTES
+        shape = (self._most, self._words)
+        self._host = wp.zeros(shape, dtype=wp.uint64, device="cpu", pinned=device.is_cuda)
+        self._there = wp.zeros(shape, dtype=wp.uint64, device=device)
+        self._device = device
+
+    def copy(self, source: TileSource, numbers: np.ndarray, addresses: np.ndarray, totals: TileTotals) -> None:
+        """Copy the tiles `numbers` of `source` to slots at `addresses`."""
+        host = self._host.numpy().view(np.uint8)
+        for first in range(0, len(numbers), self._most):
+            part = numbers[first : first + self._most].tolist()
+            if self._device.is_cuda:
+                wp.synchronize_stream(self._device.stream)  # the last part has left
+            for row, number in enumerate(part):
+                totals.bytes += source.copy_tile(number, host[row])
+            wp.copy(self._there, self._host, count=len(part) * self._words)
+            targets = wp.array(addresses[first : first + len(part)], dtype=wp.uint64, device=self._device)
+            wp.launch(spread_kernel, (len(part), self._words), [self._there, targets], device=self._device)
+
+
+@wp.kernel(**KERNEL_OPTIONS)
+def spread_kernel(staged: wp.array2d(dtype=wp.uint64), addresses: wp.array(dtype=wp.uint64)):
+    """Copy words of staged tiles to their slots."""
+    tile, word = wp.tid()
+    slot = wp.array(ptr=addresses[tile], shape=(staged.shape[1],), dtype=wp.uint64)
+    slot[word] = staged[tile, word]

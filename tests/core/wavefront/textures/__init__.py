@@ -1,0 +1,1 @@
+"""Tests of raybatch_addon/core/wavefront/textures."""

@@ -1,0 +1,1 @@
+"""Scenes whose surfaces show images."""
