@@ -46,6 +46,8 @@ PARTS = {
     "For researchers": (
         "architecture.md",
         "batching.md",
+        "large-scenes.md",
+        "textures-beyond-memory.md",
         "statistics.md",
         "library.md",
         "convergence.md",

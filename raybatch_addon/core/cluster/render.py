@@ -12,10 +12,10 @@ from ..film import Film
 from . import films
 from .bands import Region, bands_of, film_of_bands
 from .connection import ClusterError, Connection, Worker, told, why_lost
-from .events import ClusterEvents, EventKind
 from .keeping import ClusterKeeper
 from .parts import SceneParts, part_digest
 from .ranges import MergeTree, RangeDeal, SampleRange
+from .report.events import ClusterEvents, EventKind
 from .rounds import ClusterRounds
 from .staging import Staging
 

@@ -24,8 +24,8 @@ from .connection import Connection
 from .keeping import ClusterKeeper
 from .parts import parts_of
 from .render import ClusterRender
+from .report.statistics import cluster_statistics
 from .rounds import ClusterRounds
-from .statistics import cluster_statistics
 from .under_way import RendersUnderWay, UnderWay
 
 _POLL_SECONDS = 0.05

@@ -6,8 +6,8 @@ import time
 from typing import Any
 
 from .connection import ClusterError, Connection, Worker, told
-from .events import ClusterEvents
 from .parts import SceneParts
+from .report.events import ClusterEvents
 
 # Parts travel together up to this size, and so many bundles at once are on their way to a machine
 _BUNDLE_BYTES, _AT_ONCE = 1 << 25, 4

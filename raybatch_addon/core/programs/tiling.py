@@ -65,13 +65,16 @@ def tiled_scene(scene: Scene, budget: int | None, slot_bytes: int, is_asked: boo
     rest = device_bytes_of([image for i, image in enumerate(images) if i not in tiled])
     warnings = scene.warnings
     if rest > budget:
-        why = f"images that cannot be fetched tile by tile ({_named(scene, held)})"
+        names = _named(scene, held)
         if is_asked:
             raise OutOfMemoryError(
-                f"texture_budget is {budget:,} bytes, and this scene needs {rest:,} at least, for {why}; raise it, or "
-                "set it to 0"
+                f"texture_budget is {budget:,} bytes, and this scene needs {rest:,} at least, for images that cannot "
+                f"be fetched tile by tile ({names}); raise it, or set it to 0"
             )
-        text = f"{why} take {size_text(rest)}, more than the {size_text(budget)} that there are for images"
+        text = (
+            f"images that cannot be fetched tile by tile ({names}) take {size_text(rest)}, more than the "
+            f"{size_text(budget)} that there are for images"
+        )
         warnings = (*warnings, Notice(text, Weight.REPLACED, remedy="make these images smaller"))
     if not tiled:
         return dataclasses.replace(scene, images=images, warnings=warnings)

@@ -121,8 +121,8 @@ class EstimatorSettings:
                 "BLUE_NOISE",
                 "Blue Noise",
                 "Points that neighbouring pixels share out among them: as little noise in a pixel as Sobol points, and "
-                "at few samples it is fine-grained, so that it vanishes when looked at from afar or denoised. Its first "
-                "render waits until kernels are compiled, for a minute or so",
+                "at few samples it is fine-grained, so that it vanishes when looked at from afar or denoised. Its "
+                "first render waits until kernels are compiled, for a minute or so",
             ),
             (
                 "INDEPENDENT",

@@ -21,7 +21,7 @@ _TOGETHER_SECONDS = 0.005  # as in core/cluster/connection.py
 _HELPERS = 4  # threads that wait for films, as in core/cluster/render.py
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, kw_only=True)
 class Worker:
     """One of the cluster's, with one GPU or several."""
 
@@ -91,8 +91,8 @@ class Simulation:
         rates[: round(site.slow_share * site.workers)] *= 0.5
         a_machine = site.gpus_machine // site.gpus_worker
         self.workers = [
-            Worker(i // a_machine, ports[i // a_machine], site.worker_rate * rates[i], Line(clock))
-            for i in range(site.workers)
+            Worker(machine=i // a_machine, port=ports[i // a_machine], rate=rate, merging=Line(clock))
+            for i, rate in enumerate(site.worker_rate * rates)
         ]
         self._ports = ports
         self.frames: list[Frame] = []

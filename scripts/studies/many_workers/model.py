@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Costs:
     """What things take, but the samples themselves."""
 
@@ -39,7 +39,7 @@ FREE = Costs(
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Site:
     """A cluster: workers of one GPU each, or of several (`gpus_worker`), on machines."""
 

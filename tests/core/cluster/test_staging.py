@@ -8,8 +8,8 @@ import pytest
 from raybatch_addon.core.cluster import events as events_module
 from raybatch_addon.core.cluster import staging as staging_module
 from raybatch_addon.core.cluster.connection import ClusterError, Worker
-from raybatch_addon.core.cluster.events import ClusterEvents
 from raybatch_addon.core.cluster.parts import SceneParts
+from raybatch_addon.core.cluster.report.events import ClusterEvents
 from raybatch_addon.core.cluster.staging import Staging
 
 WORKERS = [Worker(f"tcp://{host}:1", host, 1) for host in ("a", "b")]

@@ -118,7 +118,9 @@ def test_guiding_passes_are_rendered_only_for_a_denoiser():
 
 
 def test_a_library_that_is_not_there_is_reported_with_its_path_and_the_cure(tmp_path, monkeypatch):
-    with pytest.raises(RayBatchError, match="there is no file .*nowhere.*denoise_library.*or turn Denoise .denoise. off"):
+    with pytest.raises(
+        RayBatchError, match="there is no file .*nowhere.*denoise_library.*or turn Denoise .denoise. off"
+    ):
         open_library(str(tmp_path / "nowhere.so"))
     monkeypatch.setenv(VARIABLE, str(tmp_path / "elsewhere.so"))
     with pytest.raises(RayBatchError, match=f"elsewhere.so .{VARIABLE}"):

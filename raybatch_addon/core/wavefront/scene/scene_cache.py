@@ -50,7 +50,6 @@ from .world_cache import WorldCache
 # Share of a device's free memory that images may take: geometry, rays and the film need the rest
 IMAGE_SHARE = 0.5
 
-
 BuiltGeometry = BuiltReference | BuiltTree | PagedTree
 
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
-from ..film import Film
-from ..measure.statistics import ENGINE, versions
-from ..scene.description import Scene
-from ..scene.notice import by_weight, described
-from ..settings.settings import RenderSettings
-from ..wavefront.render.summary import adaptive_summary, complaints, error_summary
-from .keeping import ClusterKeeper
-from .under_way import UnderWay
+from ...film import Film
+from ...measure.statistics import ENGINE, versions
+from ...scene.description import Scene
+from ...scene.notice import by_weight, described
+from ...settings.settings import RenderSettings
+from ...wavefront.render.summary import adaptive_summary, complaints, error_summary
+from ..keeping import ClusterKeeper
+from ..under_way import UnderWay
 
 
 def cluster_statistics(

@@ -1,0 +1,1 @@
+"""What a report says of a render on a cluster."""
