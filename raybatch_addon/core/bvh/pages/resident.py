@@ -103,7 +103,7 @@ def place_resident(
     size = upload.bytes + VECTOR_BYTES * (tree.nodes.size + tree.triangles.size) + 4 * top.order.size
     levels = max(len(tree_levels(layout, top_words[first:])) for first in top.first[:-1])
     levels += int(tables.chunk_levels.max())
-    return Resident(tree, of_node, root, deform, levels, box, size, upload.bytes_behind)
+    return Resident(tree, of_node, root, deform, levels, box, bytes=size, bytes_behind=upload.bytes_behind)
 
 
 def _top_level(
