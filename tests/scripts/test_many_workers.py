@@ -14,7 +14,7 @@ from studies.rows import read_report
 from tests.support.command_line import ROOT
 
 STILL = Job(600.0, samples=4096, width=640, height=360)  # one band
-EVEN = Site(8, spread=0.0)
+EVEN = Site(gpus=8, spread=0.0)
 
 
 def test_events_come_in_the_order_of_their_times():

@@ -40,7 +40,7 @@ LOCAL_SAMPLE, LOCAL_START = 1.16, 6.0
 
 def site(gpus: int, gigabits: float = 25.0) -> Site:
     """A cluster of machines of eight GPUs, each a worker's."""
-    return Site(gpus, gpus_machine=8, bandwidth=gigabits * 1e9 / 8)
+    return Site(gpus=gpus, gpus_machine=8, bandwidth=gigabits * 1e9 / 8)
 
 
 def still(seconds: float, is_cold: bool) -> Job:
@@ -59,4 +59,4 @@ def local_job(seconds: float) -> tuple[Site, Job]:
     has one core, and takes `LOCAL_SAMPLE` times as long for a sample as the process would with it.
     """
     job = Job(2 * seconds * LOCAL_SAMPLE, samples=256, width=640, height=360, kernel_seconds=0.0)
-    return Site(2, gpus_machine=2, spread=0.0), job
+    return Site(gpus=2, gpus_machine=2, spread=0.0), job
