@@ -176,7 +176,8 @@ class FaultyRenders:
         is_seen = ended - fault.done_at > NOTICED_SECONDS
         if fault.kind == "result damaged":  # a film that went with its worker is damaged, and nobody sees it
             is_alone = all(each is fault or each.machine != fault.machine for each in done)
-            is_seen = is_seen and is_alone and machine.damaged > fault.damaged
+            is_late = any(each["kind"] == "TASK_LATE" for each in outcome.events)  # nor one that came second
+            is_seen = is_seen and is_alone and not is_late and machine.damaged > fault.damaged
         if fault.kind in ALWAYS_SAID and is_seen and not any(found):
             outcome.faulty.append(f"the report does not say that a machine was befallen: {fault.kind}, {machine.host}")
         kept = asdict(fault) | {"after": round(fault.done_at - started, 2), "said": any(found)}
