@@ -13,7 +13,7 @@ from studies.rows import read_report
 
 from tests.support.command_line import ROOT
 
-STILL = Job(600.0, samples=4096, width=640, height=360)  # one band
+STILL = Job(seconds=600.0, samples=4096, width=640, height=360)  # one band
 EVEN = Site(gpus=8, spread=0.0)
 
 

@@ -45,7 +45,7 @@ def site(gpus: int, gigabits: float = 25.0) -> Site:
 
 def still(seconds: float, is_cold: bool) -> Job:
     """One picture; a cluster that is cold has nothing of the scene, and no kernels are loaded."""
-    cold = Job(seconds, scene_bytes=SCENE_BYTES, kernel_seconds=KERNEL_SECONDS, build_seconds=BUILD_SECONDS)
+    cold = Job(seconds=seconds, scene_bytes=SCENE_BYTES, kernel_seconds=KERNEL_SECONDS, build_seconds=BUILD_SECONDS)
     return cold if is_cold else replace(cold, scene_bytes=0.0, kernel_seconds=0.0)
 
 
@@ -58,5 +58,5 @@ def local_job(seconds: float) -> tuple[Site, Job]:
     """Two workers on two cores, and a picture of 640 x 360 pixels that takes one process with both `seconds`: a worker
     has one core, and takes `LOCAL_SAMPLE` times as long for a sample as the process would with it.
     """
-    job = Job(2 * seconds * LOCAL_SAMPLE, samples=256, width=640, height=360, kernel_seconds=0.0)
+    job = Job(seconds=2 * seconds * LOCAL_SAMPLE, samples=256, width=640, height=360, kernel_seconds=0.0)
     return Site(gpus=2, gpus_machine=2, spread=0.0), job

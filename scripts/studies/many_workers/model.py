@@ -64,7 +64,7 @@ class Site:
         return self.gpus_worker / (1.0 + self.shared_loss * (self.gpus_worker - 1))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Job:
     """A still, or an animation."""
 

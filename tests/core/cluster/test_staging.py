@@ -5,10 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from raybatch_addon.core.cluster import events as events_module
 from raybatch_addon.core.cluster import staging as staging_module
 from raybatch_addon.core.cluster.connection import ClusterError, Worker
 from raybatch_addon.core.cluster.parts import SceneParts
+from raybatch_addon.core.cluster.report import events as events_module
 from raybatch_addon.core.cluster.report.events import ClusterEvents
 from raybatch_addon.core.cluster.staging import Staging
 

@@ -26,7 +26,7 @@ from .store import Page, PageStore, bytes_of_rows, page_buffer, page_rows
 from .tables import PageTables
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Resident:
     """The part of the scene that stays on the device."""
 
@@ -103,7 +103,16 @@ def place_resident(
     size = upload.bytes + VECTOR_BYTES * (tree.nodes.size + tree.triangles.size) + 4 * top.order.size
     levels = max(len(tree_levels(layout, top_words[first:])) for first in top.first[:-1])
     levels += int(tables.chunk_levels.max())
-    return Resident(tree, of_node, root, deform, levels, box, bytes=size, bytes_behind=upload.bytes_behind)
+    return Resident(
+        tree=tree,
+        of_node=of_node,
+        root=root,
+        deform=deform,
+        levels=levels,
+        box=box,
+        bytes=size,
+        bytes_behind=upload.bytes_behind,
+    )
 
 
 def _top_level(
