@@ -10,7 +10,7 @@ from pathlib import Path
 
 from studies.many_workers import devices, jobs
 from studies.many_workers.cluster import simulated
-from studies.many_workers.model import Costs, Job, Losses, Outcome, Site
+from studies.many_workers.model import FREE, Costs, Job, Losses, Outcome, Site
 from studies.pages import machine, number, table
 from studies.study import Report
 
@@ -46,7 +46,7 @@ def costs_of(report: Report) -> Costs:
         values = [row[name] for row in report["rows"] if row.get(name) is not None]
         found[name] = statistics.median(values)
     found["film_joined"] += found.pop("film_added") + found.pop("film_shown")
-    return Costs(**found)
+    return replace(FREE, latency=Costs.latency, **found)
 
 
 @functools.cache
