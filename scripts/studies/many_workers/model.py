@@ -80,7 +80,7 @@ class Job:
     build_seconds: float = 0.0  # that each worker takes before its first samples of each frame: trees, uploads
 
 
-@dataclass
+@dataclass(kw_only=True)
 class Losses:
     """GPU-seconds that were no samples of the picture, by cause."""
 
