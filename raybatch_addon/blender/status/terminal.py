@@ -66,10 +66,13 @@ class PlainLines:
         with self._lock:
             if timer is not None and timer is not self._timer:
                 return
+            waited = self._timer
             text = self._take()
             if text is not None:
                 self.note()
                 self._write_late(text)
+        if timer is None and waited is not None:
+            waited.join()  # beside a thread that waits Python 3.11 with the module bpy 4.5 does not come to its end
 
     def _take(self) -> str | None:
         text, self._waiting = self._waiting, None

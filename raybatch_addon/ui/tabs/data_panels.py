@@ -44,7 +44,10 @@ class RAYBATCH_VIEWLAYER_PT_passes(EnginePanel, bpy.types.Panel):
         of_cycles = getattr(layer, "cycles", None)
         column = layout.column(heading="Include")
         for name in ("use_pass_combined", *PASS_PROPERTIES):
-            column.prop(layer, name)
+            if name == "use_pass_z":
+                column.prop(layer, name, text="Depth")  # as Blender 5 calls it
+            else:
+                column.prop(layer, name)
         column.prop(layer.raybatch, "use_pass_sample_count")
         if of_cycles is not None:
             column.prop(of_cycles, "denoising_store_passes", text="Denoising Data")

@@ -98,7 +98,8 @@ class RAYBATCH_WORLD_PT_settings(_WorldPanel, bpy.types.Panel):
         column = layout.column()
         column.active = own.sampling_method != "NONE"
         column.prop(own, "max_bounces")
-        column.prop(own, "use_shadows", text="Cast Shadow")
+        if hasattr(own, "use_shadows"):  # Blender 4.5 has it not
+            column.prop(own, "use_shadows", text="Cast Shadow")
         draw_why(layout, context, unused if own.sampling_method == "NONE" else "")
 
 

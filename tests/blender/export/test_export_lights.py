@@ -269,11 +269,18 @@ def test_limits_of_bounces(scene):
     lamp, world = add_light(scene, "POINT"), bpy.data.worlds.new("Sky")
     assert export(lamp).bounce_max is None
     assert (export_world(world, []).bounce_max, export_world(world, []).casts_shadow) == (None, True)
-    lamp.data.cycles.max_bounces, world.cycles.max_bounces, world.cycles.use_shadows = 2, 0, False
+    lamp.data.cycles.max_bounces, world.cycles.max_bounces = 2, 0
     warnings = []
     assert export(lamp, warnings).bounce_max == 2
-    assert (export_world(world, warnings).bounce_max, export_world(world, warnings).casts_shadow) == (0, False)
+    assert (export_world(world, warnings).bounce_max, export_world(world, warnings).casts_shadow) == (0, True)
     assert warnings == []
+
+
+@pytest.mark.skipif(bpy.app.version < (5, 0), reason="worlds have Cast Shadow from Blender 5 on")
+def test_a_world_that_casts_no_shadow(scene):
+    world = bpy.data.worlds.new("Sky")
+    world.cycles.use_shadows = False
+    assert not export_world(world, []).casts_shadow
 
 
 def test_lights_that_cannot_be_rendered_are_named(scene):

@@ -70,5 +70,6 @@ def test_the_page_lists_the_sliders_that_change_kernels(node):
     tree = node.id_data
     tree.links.new(tree.nodes.new("ShaderNodeTexNoise").outputs["Color"], node.inputs["Base Color"])
     program = sliders_that_change(node)
-    assert set(NAMED.findall(listed)) == program
-    assert set(NAMED.findall(of_constants)) == constant - program
+    there = {socket.name for socket in node.inputs}  # Blender 4.5 has fewer
+    assert set(NAMED.findall(listed)) & there == program
+    assert set(NAMED.findall(of_constants)) & there == constant - program

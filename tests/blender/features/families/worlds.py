@@ -222,7 +222,9 @@ def world_with_few_bounces(scene: bpy.types.Scene) -> None:
     scene.world.cycles.max_bounces = 0
 
 
-@feature("World: without shadow", "World", "picture")
-def world_without_shadow(scene: bpy.types.Scene) -> None:
-    _stage(scene, _map(sky_map()))
-    scene.world.cycles.use_shadows = False
+if bpy.app.version >= (5, 0):  # worlds have it from there on
+
+    @feature("World: without shadow", "World", "picture")
+    def world_without_shadow(scene: bpy.types.Scene) -> None:
+        _stage(scene, _map(sky_map()))
+        scene.world.cycles.use_shadows = False
