@@ -43,44 +43,51 @@ class PlainLines:
     def begin(self) -> None:
         """Something else is under way, or was said: the line that waits is out of date."""
         with self._lock:
-            self._take()
+            _, timer = self._take()
+        _join(timer)
 
     def wait_with(self, text: str) -> None:
         """Print `text` when it is due, unless something else begins before."""
         with self._lock:
-            self._take()
-            if not WAITS:
-                return
-            self._waiting = text
-            seconds = max(0.0, self._said_at + PLAIN_SECONDS - time.perf_counter())
-            timer = threading.Timer(seconds, lambda: self.flush(timer))
-            timer.daemon = True
-            timer.start()
-            self._timer = timer
-            # At its end Python calls last what was registered first. `exit_code` registers a function that ends the
-            # process, before which the line has to be printed: so it is registered only now, not when Blender starts
-            atexit.register(self.flush)
+            _, before = self._take()
+            if WAITS:
+                self._waiting = text
+                seconds = max(0.0, self._said_at + PLAIN_SECONDS - time.perf_counter())
+                timer = threading.Timer(seconds, lambda: self.flush(timer))
+                timer.daemon = True
+                timer.start()
+                self._timer = timer
+                # At its end Python calls last what was registered first. `exit_code` registers a function that ends
+                # the process, before which the line has to be printed: so it is registered only now, not when Blender
+                # starts
+                atexit.register(self.flush)
+        _join(before)
 
     def flush(self, timer: threading.Timer | None = None) -> None:
         """Print the line that waits, now; for a `timer` only if it is the one of that line, not of one before it."""
         with self._lock:
             if timer is not None and timer is not self._timer:
                 return
-            waited = self._timer
-            text = self._take()
+            text, ended = self._take()
             if text is not None:
                 self.note()
                 self._write_late(text)
-        if timer is None and waited is not None:
-            waited.join()  # beside a thread that waits Python 3.11 with the module bpy 4.5 does not come to its end
+        _join(ended)
 
-    def _take(self) -> str | None:
+    def _take(self) -> tuple[str | None, threading.Timer | None]:
+        """The line that waits, and its timer, which is cancelled."""
         text, self._waiting = self._waiting, None
-        if self._timer:
-            self._timer.cancel()
-            self._timer = None
+        timer, self._timer = self._timer, None
+        if timer is not None:
+            timer.cancel()
             atexit.unregister(self.flush)
-        return text
+        return text, timer
+
+
+def _join(timer: threading.Timer | None) -> None:
+    """Wait for the end of a timer's thread: beside one the module bpy 4.5 would hang when the process ends."""
+    if timer is not None and timer is not threading.current_thread():
+        timer.join()
 
 
 def line_of_frame(frame: int, text: str) -> str:
