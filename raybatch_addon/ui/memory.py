@@ -56,7 +56,7 @@ def _estimate(context, settings: RenderSettings, statistics: dict[str, Any] | No
     path_count = settings.ray_count or schedule.get("ray_count") or workers * paths_a_worker(settings, workers, is_cuda)
     path_bytes = schedule.get("bytes_per_path") or bytes_per_path(_features(context))
     tree = statistics.get("tree") if statistics and schedule else None
-    instances = statistics["instances"] if statistics and schedule else 0
+    instances = statistics.get("instances", 0) if statistics and schedule else 0
     size = geometry_size(context.scene, tree["triangles"] if tree else None, instances)
     return estimate_memory(
         size,

@@ -25,6 +25,8 @@ def unlike_default(info):
         return "somewhere"
     if info.kind is float:
         return info.default / 2 + 0.0625
+    if info.name == "texture_tile_size":  # a power of two
+        return 2 * info.default
     if info.default == info.maximum:
         return 7
     return min(info.default + (1 if info.minimum == 1 else 64), int(info.maximum))

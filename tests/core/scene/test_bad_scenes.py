@@ -330,11 +330,11 @@ def test_fewer_rays_where_an_allocation_fails(session, monkeypatch):
     asked = []
     make = integrator.TileIntegrator.__init__
 
-    def allocate(self, scene, frame, settings, marks):
+    def allocate(self, scene, frame, settings, marks, *more):
         asked.append(marks.path_count)
         if marks.path_count > 1000:
             raise RuntimeError("Failed to allocate memory on device")
-        make(self, scene, frame, settings, marks)
+        make(self, scene, frame, settings, marks, *more)
 
     monkeypatch.setattr(integrator.TileIntegrator, "__init__", allocate)
     film = session.render(lamp_and(), SETTINGS.replace(sample_count=64, tile_size=16, ray_count=8192, thread_count=1))

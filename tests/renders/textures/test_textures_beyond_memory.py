@@ -15,6 +15,7 @@ from raybatch_addon.core.shading.images.image_upload import device_bytes_of
 from raybatch_addon.core.shading.images.textures import Extension, Interpolation
 from tests.support.images.textured_scenes import COLORS, room, sky
 from tests.support.running.shares import each_of
+from tests.support.watched_renders import stopping
 
 WHOLE = RenderSettings(sample_count=4, bounce_max=3, seed=3, thread_count=1)
 TILED = WHOLE.replace(texture_tile_size=16, texture_budget=150_000)
@@ -89,14 +90,9 @@ def test_filtered_images_are_too(session):
 
 
 def test_a_stopped_render_goes_on(session, whole):
-    asked = []
-
-    def cancelled():
-        asked.append(1)
-        return len(asked) > 40
-
     settings = TILED.replace(ray_count=64)
-    part = session.render(room(), settings, cancelled=cancelled)
+    with stopping(60):
+        part = session.render(room(), settings)
     assert not part.complete
     assert same(session.render(room(), settings, resume=part), whole)
 
