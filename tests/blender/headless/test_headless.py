@@ -136,6 +136,7 @@ class Said:
     def _timer(self, seconds, function):
         timer = SimpleNamespace(at=self.clock + seconds, function=function, daemon=False, start=lambda: None)
         timer.cancel = lambda: self.timers.remove(timer)
+        timer.join = lambda: None
         self.timers.append(timer)
         return timer
 
