@@ -61,10 +61,9 @@ def render_view_layer(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsg
     # with Persistent Data Blender keeps the engine for other frames, and for other renders
     if report is None or (report.job, report.frame) != (finals.job, depsgraph.scene.frame_current):
         missing.begin_look(depsgraph.scene)
-        report = reports.RenderReport(depsgraph.scene.name, depsgraph.scene.frame_current, job=finals.job)
-        engine.report_of_frame = report
-        if not tuning.is_tuning():  # that makes no picture: the last one's report stays
-            reports.set_last(report)
+        # what is tuned makes no picture: the last one's report stays
+        begin = reports.RenderReport if tuning.is_tuning() else reports.begin
+        report = engine.report_of_frame = begin(depsgraph.scene.name, depsgraph.scene.frame_current, job=finals.job)
     if report.errors:
         return
     try:

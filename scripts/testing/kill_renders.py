@@ -22,10 +22,9 @@ for folder in Path(__file__).resolve().parents[1:3]:  # of the scripts, and of t
 
 import numpy as np
 from lib.command import UsageError, run_command
-from lib.output import OutputFolders, leave, write_report, write_text
-from tables.marked_text import with_part
+from lib.output import OutputFolders, leave
 
-from testing.report import commit, today
+from testing.report import heading, of_chance, publish
 
 DESCRIPTION = """\
 Kill renders at random moments by SIGKILL, let each go on from its checkpoint, and compare the films with those of
@@ -292,18 +291,8 @@ def run(options: argparse.Namespace, folders: OutputFolders, standard_output: IO
             least.film(random, min(left, options.kills_a_film))
             print(f"kill_renders.py: {options.kills - left} of {options.kills} kills", file=sys.stderr, flush=True)
     outcomes = [each.outcome for each in killed]
-    report = {
-        "date": today(),
-        "commit": commit(),
-        "seed": options.seed,
-        "seconds": round(time.perf_counter() - start),
-        "outcomes": [vars(each) for each in outcomes],
-    }
-    table = table_of(report)
-    write_report(options.json, report, table, standard_output)
-    if options.page:
-        text = options.page.read_text(encoding="utf-8")
-        write_text(options.page, with_part(text, *MARKS, table, options.page))
+    report = of_chance(options, start, outcomes=[vars(each) for each in outcomes])
+    publish(options, report, table_of(report), MARKS, standard_output)
     return int(any(each.faults for each in outcomes))
 
 
@@ -323,8 +312,7 @@ def table_of(report: dict[str, Any]) -> str:
     sums = " | ".join(str(sum(each[name] for each in outcomes)) for name in numbers)
     rows.append(f"| all | | {sums} | {sum(len(each['faults']) for each in outcomes)} |")
     faults = [f"- {each['scene']}, {each['variant']}: {fault}" for each in outcomes for fault in each["faults"]]
-    heading = f"{report['date']}, commit {report['commit']}, seed {report['seed']}, {report['seconds']} s on the CPU."
-    return "\n".join([heading, "", *rows, *(["", *faults] if faults else [])])
+    return "\n".join([heading(report), "", *rows, *(["", *faults] if faults else [])])
 
 
 def main(arguments: list[str] | None = None) -> int:

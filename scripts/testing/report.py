@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import argparse
 import subprocess
+import time
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import IO, Any
+
+from lib.output import write_report, write_text
+from tables.marked_text import with_part
 
 ROOT = Path(__file__).resolve().parents[2]
 # written by the checks themselves: they do not make a checkout another one
@@ -29,3 +35,26 @@ def commit() -> str:
 def today() -> str:
     """The date and time, UTC."""
     return datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
+
+
+def of_chance(options: argparse.Namespace, start: float, **found: object) -> dict[str, Any]:
+    """The report of a run on the CPU that drew what it did by `options.seed`, and began at `start` [s,
+    `time.perf_counter`].
+    """
+    seconds = round(time.perf_counter() - start)
+    return {"date": today(), "commit": commit(), "seed": options.seed, "seconds": seconds, **found}
+
+
+def heading(report: dict[str, Any]) -> str:
+    """One line over the tables of such a report."""
+    return f"{report['date']}, commit {report['commit']}, seed {report['seed']}, {report['seconds']} s on the CPU."
+
+
+def publish(
+    options: argparse.Namespace, report: dict[str, Any], table: str, marks: tuple[str, str], standard_output: IO[str]
+) -> None:
+    """Write the report to `options.json`, and its `table` between `marks` of `options.page`, where these are given."""
+    write_report(options.json, report, table, standard_output)
+    if options.page:
+        text = options.page.read_text(encoding="utf-8")
+        write_text(options.page, with_part(text, *marks, table, options.page))

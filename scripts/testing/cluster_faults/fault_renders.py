@@ -18,10 +18,9 @@ for folder in Path(__file__).resolve().parents[2:4]:  # of the scripts, and of t
 
 import numpy as np
 from lib.command import UsageError, run_command
-from lib.output import OutputFolders, leave, write_report, write_text
-from tables.marked_text import with_part
+from lib.output import OutputFolders, leave
 
-from testing.report import commit, today
+from testing.report import heading, of_chance, publish
 
 DESCRIPTION = """\
 Render on a cluster whose workers are killed, stopped, slowed, cut off, have a full disk or damage a film, at random
@@ -235,26 +234,14 @@ def run(options: argparse.Namespace, folders: OutputFolders, standard_output: IO
         finally:
             machines.close()
             session.close()
-    report = _report(options, start, variants, [*alone, *renders.outcomes])
-    table = table_of(report)
-    write_report(options.json, report, table, standard_output)
-    if options.page:
-        text = options.page.read_text(encoding="utf-8")
-        write_text(options.page, with_part(text, *MARKS, table, options.page))
+    report = of_chance(
+        options,
+        start,
+        samples=[each.settings.sample_count for each in variants],
+        outcomes=[asdict(each) for each in (*alone, *renders.outcomes)],
+    )
+    publish(options, report, table_of(report), MARKS, standard_output)
     return int(any(each["faulty"] for each in report["outcomes"]))
-
-
-def _report(
-    options: argparse.Namespace, start: float, variants: list[Variant], outcomes: list[Outcome]
-) -> dict[str, Any]:
-    return {
-        "date": today(),
-        "commit": commit(),
-        "seed": options.seed,
-        "seconds": round(time.perf_counter() - start),
-        "samples": [each.settings.sample_count for each in variants],
-        "outcomes": [asdict(each) for each in outcomes],
-    }
 
 
 def table_of(report: dict[str, Any]) -> str:
@@ -280,8 +267,7 @@ def table_of(report: dict[str, Any]) -> str:
         for each in report["outcomes"]
         for text in each["faulty"]
     ]
-    heading = f"{report['date']}, commit {report['commit']}, seed {report['seed']}, {report['seconds']} s on the CPU."
-    return "\n".join([heading, "", *rows, *(["", *wrong] if wrong else [])])
+    return "\n".join([heading(report), "", *rows, *(["", *wrong] if wrong else [])])
 
 
 def _row(outcomes: list[dict[str, Any]], name: str = "") -> str:
