@@ -68,11 +68,11 @@ def water_marks(settings: RenderSettings, path_count: int) -> WaterMarks:
     return WaterMarks(path_count, low, high)
 
 
-def paths_a_worker(settings: RenderSettings, workers: int, is_cuda: bool, paged: bool = False) -> int:
-    """Path slots of each worker; `paged`: geometry is brought in by pages."""
+def paths_a_worker(settings: RenderSettings, workers: int, is_cuda: bool, many: bool = False) -> int:
+    """Path slots of each worker; `many`: what is brought in, as pages of geometry, is to serve many."""
     if settings.ray_count:
         return max(1, settings.ray_count // workers)
-    if paged:
+    if many:
         return RAYS_MOST[is_cuda]
     return CUDA_RAYS if is_cuda else CPU_RAYS_A_WORKER
 

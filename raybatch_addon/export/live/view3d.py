@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import bpy
 import numpy as np
 
+from ...core.errors import SceneError
 from ...core.scene.cameras import Camera, CameraKind
 from ...core.scene.description import Frame
 from ..camera import depth_of_field, frame_window, kind_of
@@ -88,7 +89,13 @@ def live_camera(
 ) -> tuple[Camera, Frame | None]:
     """The core's camera for `view`, through `camera` if the view is; and `frame` with the region's size and the part
     that is to be rendered, or None where nothing of that is in the region.
+
+    Raises `SceneError` for a view that is not finite, as after a stroke of a brush on an object that is scaled to 0.
     """
+    if not np.isfinite([*view.to_view, *view.projection]).all():
+        if view.through_camera:
+            raise SceneError("the camera's matrix is not finite; reset its transform")
+        raise SceneError("the view's matrix is not finite; choose View > Frame All, then View > Viewpoint > Top")
     window, transform = view.window, view.transform[:3]
     box: Box | None = None
     if view.through_camera and camera is not None:

@@ -30,7 +30,7 @@ def cases(options: Options) -> list[Case]:
 def scene_size(options: Options) -> tuple[int, int, int]:
     """Texels along the side of an image, edge of the frame, samples."""
     if options.is_cuda:
-        return options.pick((8192, 1024, 8), (16384, 1024, 16))
+        return options.pick((4096, 1024, 16), (8192, 1024, 64))
     return options.pick((1024, 96, 4), (2048, 256, 16))
 
 

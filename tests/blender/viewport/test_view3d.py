@@ -7,6 +7,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from raybatch_addon.core.errors import SceneError
 from raybatch_addon.core.scene.cameras import CameraKind
 from raybatch_addon.core.scene.description import Frame
 from raybatch_addon.export.camera import export_camera
@@ -46,6 +47,17 @@ def test_a_view_of_its_own_is_sharp_and_clips_as_the_space_does(scene):
     _, camera, _ = seen(context, scene)
     assert camera.kind == CameraKind.PERSPECTIVE and camera.lens_radius == 0
     assert (camera.clip_start, camera.clip_end) == (0.5, 50)
+
+
+@pytest.mark.parametrize("through_camera, named", [(True, "the camera's matrix"), (False, "the view's matrix")])
+@pytest.mark.parametrize("matrix", ["to_view", "projection"])
+def test_a_view_that_is_not_finite_is_named(scene, through_camera, named, matrix):
+    context = region_context(through_camera=through_camera)
+    context.space_data.use_render_border = scene.render.use_border = True
+    view, *_ = seen(context, scene)
+    lost = replace(view, **{matrix: (float("nan"),) * 16})
+    with pytest.raises(SceneError, match=f"{named} is not finite; .*(reset|choose)"):
+        live_camera(lost, scene.camera, bpy.context.evaluated_depsgraph_get(), FRAME)
 
 
 def test_an_orthographic_view_sees_behind_where_it_is(scene):

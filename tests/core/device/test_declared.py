@@ -340,6 +340,7 @@ def run_process(root: Path, folder: Path, *words: str) -> list[str]:
     return done.stdout.split()
 
 
+@pytest.mark.usefixtures("cpu_compiler")
 def test_a_render_with_kernels_that_are_ready_declares_nothing(session, monkeypatch):
     """The kernels are those of the suite's own folder, which the first process may complete."""
     monkeypatch.undo()

@@ -148,6 +148,7 @@ def test_what_nobody_waits_for_is_not_loaded(folder):
 
 
 @ON_LINUX
+@pytest.mark.usefixtures("cpu_compiler")
 def test_a_read_only_folder_is_said_and_kernels_are_compiled_elsewhere(tmp_path):
     done = in_small_disk(process_command(tmp_path), tmp_path, "size=1m", f'mount -o remount,ro "{tmp_path}"')
     assert done.stderr == ""
@@ -157,6 +158,7 @@ def test_a_read_only_folder_is_said_and_kernels_are_compiled_elsewhere(tmp_path)
 
 
 @ON_LINUX
+@pytest.mark.usefixtures("cpu_compiler")
 def test_a_read_only_folder_with_kernels_serves(tmp_path):
     kernels, seen = tmp_path / "kernels", tmp_path / "seen"
     put_header(kernels / wp.config.version)
@@ -199,6 +201,7 @@ def test_a_process_that_compiles_for_others_fails_where_it_cannot_keep(tmp_path)
     assert process.complaint().startswith(f"DeviceError: compiled kernels cannot be kept in {blocked / 'kernels'}")
 
 
+@pytest.mark.usefixtures("cpu_compiler")
 def test_the_spare_folder_goes_with_the_process(tmp_path):
     blocked, temporary = tmp_path / "file", tmp_path / "temporary"
     blocked.write_text("not a folder")
@@ -211,6 +214,7 @@ def test_the_spare_folder_goes_with_the_process(tmp_path):
     assert list(temporary.iterdir()) == []
 
 
+@pytest.mark.usefixtures("cpu_compiler")
 def test_two_processes_fill_an_empty_folder_at_once(tmp_path):
     both = [subprocess.Popen(process_command(tmp_path), stdout=-1, stderr=-1, text=True) for _ in range(2)]
     assert [process.communicate(timeout=300) for process in both] == [("works\n", "")] * 2

@@ -91,7 +91,9 @@ def test_a_function_of_one_device_is_empty_on_the_other(device, condition):
 
 
 @pytest.mark.parametrize("target", ["cpu", "cuda"])
-def test_compilers_name_the_header_and_the_line(target, tmp_path):
+def test_compilers_name_the_header_and_the_line(target, tmp_path, request):
+    if target == "cpu":
+        request.getfixturevalue("cpu_compiler")
     script = tmp_path / "faulty.py"  # Warp reads the source of kernels
     script.write_text(FAULTY)
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}

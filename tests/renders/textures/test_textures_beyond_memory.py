@@ -44,7 +44,7 @@ def whole(session):
         6,
         [
             {},
-            dict(texture_budget=1_000_000, texture_tile_size=64),
+            dict(texture_budget=700_000, texture_tile_size=64),
             dict(ray_count=37),
             dict(ray_count=1),
             dict(thread_count=3, tile_size=7),

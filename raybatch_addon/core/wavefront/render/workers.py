@@ -93,11 +93,13 @@ def make_workers(
     workers = min(worker_count(device, settings.thread_count), len(areas))
     if settings.ray_count:
         workers = min(workers, settings.ray_count)
+    in_tiles = scene.fetches is not None and scene.images.tiled is not None
+    many = paged or (in_tiles and device.is_cuda)  # of a CPU's images all are in its memory anyway
     # no tile needs more paths than it has samples
-    asked = min(paths_a_worker(settings, workers, device.is_cuda, paged), max(areas) * sample_count)
+    asked = min(paths_a_worker(settings, workers, device.is_cuda, many), max(areas) * sample_count)
     made.path_bytes = each = path_bytes(scene, frame, settings, asked)
     layout, slots, slot_bytes = layout_of(frame.passes, frame.transparent), 0, 0  # of tiles of images
-    if scene.fetches is not None and scene.images.tiled:
+    if in_tiles:
         slots = tile_slots_of(scene.images.tiled, scene.image_budget, scene.images.bytes, workers, scene.tiles_least)
         slot_bytes = scene.images.tiled.slot_bytes
     # sums of finished tiles stay on a CUDA device until the film is asked for them
@@ -130,8 +132,8 @@ def make_workers(
             count //= 2
     if not settings.ray_count:
         why = (
-            "as many as memory and the samples of a tile allow: every page that is brought in serves more of them"
-            if paged
+            "as many as memory and the samples of a tile allow: all that is brought in serves more of them"
+            if many
             else ("some times what keeps the device busy" if device.is_cuda else "a wave stays within the outer caches")
         )
         made.chosen["ray_count"] = Choice(count * workers, why)
@@ -142,7 +144,7 @@ def make_workers(
         )
     if settings.spatial_splits == "AUTO" and scene.splits:
         made.chosen["spatial_splits"] = scene.splits
-    if count < asked and not (paged and not settings.ray_count):
+    if count < asked and not (many and not settings.ray_count):
         made.warnings.append(
             f"ray_count was reduced from {asked * workers:,} to {count * workers:,}: {device.alias} has not enough "
             "free memory"

@@ -16,16 +16,15 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ...device.kernel import KERNEL_OPTIONS
 from ...errors import OutOfMemoryError
 from ...native.structs import record_type, upload_records
 from ...shading.images.textures import ImageEntry, ImageTable
 from ...shading.images.tiled.look_up import MARKS, PINNED, SEEN, WANTED
 from ...shading.images.tiled.pictures import TileSource
+from .carry import carry_tiles
 
-_WORD_BYTES = 8  # slots are copied by words on a GPU
-# Bytes of tiles that are copied to a GPU at once, and bytes of an array of slots
-_STAGED_BYTES, _BLOCK_BYTES = 64 << 20, 1 << 30
+_WORD_BYTES = 8  # slots are arrays of words
+_BLOCK_BYTES = 1 << 30  # of an array of slots
 
 
 @dataclass(kw_only=True)
@@ -86,8 +85,8 @@ def tile_slots_of(source: TileSource, budget: int, whole: int, workers: int, lea
 class TilePool:
     """The slots of one worker, and its table of images."""
 
-    def __init__(self, source: TileSource, slots: int, staged: bool | None = None):
-        """`slots` for tiles of `source`. `staged`: tiles come in a buffer, many in one copy (default: on a GPU)."""
+    def __init__(self, source: TileSource, slots: int):
+        """`slots` for tiles of `source`."""
         self._source, self._device = source, source.device
         device, numbers, size = source.device, source.number_count, source.slot_bytes
         self._addresses = np.zeros(numbers, np.uint64)
@@ -101,11 +100,10 @@ class TilePool:
             wp.zeros((min(self._per_block, slots - first), size // _WORD_BYTES), dtype=wp.uint64, device=device)
             for first in range(0, slots, self._per_block)
         ]
+        self._block_addresses = np.array([each.ptr for each in self._blocks], np.uint64)
         self._tile_in = np.full(slots, -1, np.int64)  # number of the tile in a slot; -1: none
         self._slot_of = np.full(numbers, -1, np.int64)
         self._used_at = np.zeros(numbers, np.int64)  # when it was read last, by the count of turns that brought tiles
-        is_staged = device.is_cuda if staged is None else staged
-        self._staging = _Staging(device, size, slots) if is_staged else None
         self.totals = TileTotals(tiles=source.tile_count, slots=slots, slot_bytes=size)
         self.table = ImageTable()
         entries = source.entries_at(self._on_device.ptr).astype(record_type(ImageEntry))
@@ -159,55 +157,19 @@ class TilePool:
         left = left[left >= 0]
         self._slot_of[left], self._addresses[left] = -1, 0
         self._tile_in[slots], self._slot_of[missing] = missing, slots
-        self._addresses[missing] = [self._address(slot) for slot in slots.tolist()]
-        if self._staging:
-            self._staging.copy(self._source, missing, self._addresses[missing], self.totals)
+        block, row = np.divmod(slots, self._per_block)
+        self._addresses[missing] = self._block_addresses[block] + (row * self._source.slot_bytes).astype(np.uint64)
+        if self._device.is_cuda:
+            self.totals.bytes += carry_tiles(self._source, missing, self._addresses[missing])
+            wp.synchronize_stream(self._device.stream)  # so that what is measured is all of it
         else:
-            for number, slot in zip(missing.tolist(), slots.tolist()):
-                block, row = divmod(slot, self._per_block)
-                target = self._blocks[block].numpy()[row].view(np.uint8)
+            for number, at in zip(missing.tolist(), zip(block.tolist(), row.tolist())):
+                target = self._blocks[at[0]].numpy()[at[1]].view(np.uint8)
                 self.totals.bytes += self._source.copy_tile(number, target)
         self.totals.fetched += len(missing)
         self.totals.evicted += len(left)
         self._show()
 
-    def _address(self, slot: int) -> int:
-        block, row = divmod(slot, self._per_block)
-        return self._blocks[block].ptr + row * self._source.slot_bytes
-
     def _show(self) -> None:
         """Let kernels from now on find the tiles that are there."""
         wp.copy(self._on_device, wp.array(self._addresses, dtype=wp.uint64, device="cpu", copy=False))
-
-
-class _Staging:
-    """A buffer for tiles on their way to a device: many in one copy, and each from there to its slot."""
-
-    def __init__(self, device: wp.Device, slot_bytes: int, slots: int):
-        self._most = max(1, min(slots, _STAGED_BYTES // slot_bytes))
-        self._words = slot_bytes // _WORD_BYTES
-        shape = (self._most, self._words)
-        self._host = wp.zeros(shape, dtype=wp.uint64, device="cpu", pinned=device.is_cuda)
-        self._there = wp.zeros(shape, dtype=wp.uint64, device=device)
-        self._device = device
-
-    def copy(self, source: TileSource, numbers: np.ndarray, addresses: np.ndarray, totals: TileTotals) -> None:
-        """Copy the tiles `numbers` of `source` to slots at `addresses`."""
-        host = self._host.numpy().view(np.uint8)
-        for first in range(0, len(numbers), self._most):
-            part = numbers[first : first + self._most].tolist()
-            if self._device.is_cuda:
-                wp.synchronize_stream(self._device.stream)  # the last part has left
-            for row, number in enumerate(part):
-                totals.bytes += source.copy_tile(number, host[row])
-            wp.copy(self._there, self._host, count=len(part) * self._words)
-            targets = wp.array(addresses[first : first + len(part)], dtype=wp.uint64, device=self._device)
-            wp.launch(spread_kernel, (len(part), self._words), [self._there, targets], device=self._device)
-
-
-@wp.kernel(**KERNEL_OPTIONS)
-def spread_kernel(staged: wp.array2d(dtype=wp.uint64), addresses: wp.array(dtype=wp.uint64)):
-    """Copy words of staged tiles to their slots."""
-    tile, word = wp.tid()
-    slot = wp.array(ptr=addresses[tile], shape=(staged.shape[1],), dtype=wp.uint64)
-    slot[word] = staged[tile, word]

@@ -39,9 +39,8 @@ def there(pool) -> dict[int, int]:
     return found
 
 
-@pytest.mark.parametrize("staged", [False, True])
-def test_what_has_room_is_all_brought(source, staged):
-    pool = TilePool(source, 4, staged)
+def test_what_has_room_is_all_brought(source):
+    pool = TilePool(source, 4)
     wanted(pool, t3=(1, 0, 0), t9=(5, 0, 0), t16=(1, 0, 0))
     assert there(pool) == {3: 3, 9: 9, 16: 16}
     assert (pool.totals.fetched, pool.totals.evicted, pool.totals.bytes) == (3, 0, 3 * 1024)

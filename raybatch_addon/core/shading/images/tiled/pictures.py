@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 import weakref
 from bisect import bisect_right
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
 
+from ....device.locked import locked_empty, locked_view
 from ....scene.description import ImageEncoding
 from ....scene.frozen import is_frozen
 from ..levels import FilteredImage, ImageLevels, coarser_levels, level_encoding
@@ -18,6 +21,9 @@ from .look_up import COLUMN_SHIFT, KIND_MASK, ROW_SHIFT
 
 # Bytes of a texel by `Texels`, as slots are divided: three take the room of four
 _TEXEL_BYTES = {kind: wp.types.type_size_in_bytes(dtype) for kind, dtype in TEXEL_KINDS.values()} | {Texels.BYTE3: 4}
+
+# The number 1, or its like, in texels of a type
+OPAQUE_BITS = {"uint8": 0xFF, "float16": 0x3C00, "float32": 0x3F800000}
 
 
 @dataclass(frozen=True)
@@ -45,6 +51,7 @@ class TiledPicture:
     texels: Texels
     slot_bytes: int
     tiled: list[np.ndarray]  # the picture and its large levels, each [height, width, channels]
+    read: list[wp.array]  # the same where a GPU reads them, uint8; empty on a CPU
     small: list[np.ndarray]  # the levels above them
     array: wp.array | None  # the same on the device, one after another
     level_encoding: int  # `ImageEncoding`, or `ROOT`
@@ -106,6 +113,7 @@ def tiled_picture(
         texels=kind,
         slot_bytes=slot_bytes,
         tiled=tiled,
+        read=[read_by(each, device) for each in tiled] if device.is_cuda else [],
         small=small,
         array=array,
         level_encoding=level_encoding(own.dtype, encoding),
@@ -113,11 +121,22 @@ def tiled_picture(
     )
 
 
+def read_by(pixels: np.ndarray, device: wp.Device) -> wp.array:
+    """`pixels` as bytes that the CUDA device reads through the bus: where they lie, or, if few, a locked copy."""
+    flat = np.ascontiguousarray(pixels).reshape(-1).view(np.uint8)
+    there = locked_view(flat, wp.uint8, device)
+    if there is None:
+        there = locked_empty(flat.size, wp.uint8)
+        there.numpy()[:] = flat
+    return there
+
+
 @dataclass(frozen=True)
 class _Grid:
     """A picture or a level, divided in tiles."""
 
     pixels: np.ndarray
+    address: int  # of the first texel where a GPU reads it; 0 on a CPU
     channels: int  # that are stored
     column_bits: int
     row_bits: int
@@ -149,11 +168,12 @@ class TileSource:
         word = kind | column_bits << COLUMN_SHIFT | row_bits << ROW_SHIFT
         channels = next(shape[1] for shape, known in TEXEL_KINDS.items() if known[0] is picture.texels)
         parts = []
-        for pixels in picture.tiled:
+        for place, pixels in enumerate(picture.tiled):
+            address = picture.read[place].ptr if picture.read else 0
             height, width = pixels.shape[:2]
             columns, rows = ((width - 1) >> column_bits) + 1, ((height - 1) >> row_bits) + 1
             self._first.append(self.number_count)
-            self._grids.append(_Grid(pixels, channels, column_bits, row_bits, columns))
+            self._grids.append(_Grid(pixels, address, channels, column_bits, row_bits, columns))
             parts.append(Part(8 * self.number_count, word, width, height))
             self.number_count += 1 + columns * rows
             self.tile_count += columns * rows
@@ -186,6 +206,42 @@ class TileSource:
     def rows(self) -> np.ndarray:
         """Numbers in front of the tiles of each picture or level, int64."""
         return np.array(self._first, np.int64)
+
+    def locate(self, numbers: np.ndarray, records: np.ndarray) -> int:
+        """Say in `records` of `TileCopy`, one for each of the tiles `numbers`, where they lie; their bytes in slots."""
+        table = self._table
+        at = np.searchsorted(self.rows, numbers, side="right") - 1
+        grid = {name: values[at] for name, values in table.items()}
+        row, column = np.divmod(numbers - self.rows[at] - 1, grid["columns"])
+        x, y = column << grid["column_bits"], row << grid["row_bits"]
+        rows = np.minimum(1 << grid["row_bits"], grid["height"] - y)
+        across = np.minimum(1 << grid["column_bits"], grid["width"] - x)
+        records["stride"] = grid["width"] * grid["stored"]
+        records["source"] = grid["address"] + (y * records["stride"] + x * grid["stored"]).astype(np.uint64)
+        records["rows"], records["width"] = rows, across * grid["stored"]
+        records["row_words"] = (grid["texel"] << grid["column_bits"]) // 4
+        for name in ("stored", "texel", "fill"):
+            records[name] = grid[name]
+        return int((rows * across * grid["texel"]).sum())
+
+    @functools.cached_property
+    def _table(self) -> dict[str, np.ndarray]:
+        """Of each grid what `locate` asks for; all pictures are placed before."""
+
+        def column(of: Callable[[_Grid], int], dtype: type = np.int64) -> np.ndarray:
+            return np.array([of(each) for each in self._grids], dtype)
+
+        return {
+            "address": column(lambda grid: grid.address, np.uint64),
+            "height": column(lambda grid: grid.pixels.shape[0]),
+            "width": column(lambda grid: grid.pixels.shape[1]),
+            "columns": column(lambda grid: grid.columns),
+            "column_bits": column(lambda grid: grid.column_bits),
+            "row_bits": column(lambda grid: grid.row_bits),
+            "stored": column(lambda grid: grid.pixels.shape[2] * grid.pixels.itemsize),
+            "texel": column(lambda grid: grid.channels * grid.pixels.itemsize),
+            "fill": column(lambda grid: OPAQUE_BITS[grid.pixels.dtype.name], np.uint32),
+        }
 
     def copy_tile(self, number: int, slot: np.ndarray) -> int:
         """Copy the tile `number` to `slot`, uint8, shape [slot_bytes]; its bytes. What of a tile is beyond its picture
