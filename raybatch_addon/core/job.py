@@ -99,9 +99,9 @@ class Job:
         active = first_active(self.scene.frame, settings, self.sample_first, after, device)
         x0, y0, x1, y1 = self.scene.frame.region
         workers = sum(worker_count(each, settings.thread_count) for each in devices)
-        paged = self.plan.method is Method.PAGED
+        many = self.plan.method is Method.PAGED or (bool(self.features.fetch_program) and device.is_cuda)
         choose_edge = step_tile_edge if self.steps else round_tile_edge if policy.is_cut else tile_edge
-        edge = choose_edge(settings, device.is_cuda, x1 - x0, y1 - y0, workers, paged)
+        edge = choose_edge(settings, device.is_cuda, x1 - x0, y1 - y0, workers, many)
         if not settings.tile_size:
             self.chosen["tile_size"] = Choice(edge, "by device, frame and samples")
         state = ResumeState.begin(settings, self.scene.frame, edge, self.sample_first, policy, active)

@@ -16,6 +16,8 @@ CUDA_RAYS = 1 << 22
 # render of 125 million triangles (H200, a tenth of them on the device) took 1.39 s with 34 million paths alive, and
 # 1.59 s with 105 million. New paths begin where others end, so that few pages more are copied.
 RAYS_MOST = {True: 1 << 25, False: 1 << 23}  # on CUDA; of a worker on the CPU
+# Tiles of images that come to a GPU are looked up by all rays at once, so no number is too many
+IMAGE_RAYS = 1 << 26
 # Edges of tiles where `tile_size` is 0
 CPU_TILE = 128
 CUDA_TILE = 2048
@@ -68,28 +70,32 @@ def water_marks(settings: RenderSettings, path_count: int) -> WaterMarks:
     return WaterMarks(path_count, low, high)
 
 
-def paths_a_worker(settings: RenderSettings, workers: int, is_cuda: bool, many: bool = False) -> int:
-    """Path slots of each worker; `many`: what is brought in, as pages of geometry, is to serve many."""
+def paths_a_worker(
+    settings: RenderSettings, workers: int, is_cuda: bool, paged: bool = False, in_tiles: bool = False
+) -> int:
+    """Path slots of each worker; `paged`: geometry is brought in by pages; `in_tiles`: images are, to a GPU."""
     if settings.ray_count:
         return max(1, settings.ray_count // workers)
-    if many:
+    if paged:
         return RAYS_MOST[is_cuda]
+    if in_tiles:
+        return IMAGE_RAYS
     return CUDA_RAYS if is_cuda else CPU_RAYS_A_WORKER
 
 
 def tile_edge(
-    settings: RenderSettings, is_cuda: bool, width: int, height: int, workers: int = 1, paged: bool = False
+    settings: RenderSettings, is_cuda: bool, width: int, height: int, workers: int = 1, many: bool = False
 ) -> int:
     """Edge of the tiles [pixels]. Where it is chosen here, at least four tiles cover a frame that can be cut so, unless
     it has next to no paths.
 
-    On CUDA small work is one tile, and tiles shrink with the samples so that they come at some pace. Where geometry is
-    brought in by pages (`paged`) each worker has one tile, if it is not too large: no more rays can be alive than a
-    tile has.
+    On CUDA small work is one tile, and tiles shrink with the samples so that they come at some pace. Where what is
+    brought in is to serve `many` rays, as pages of geometry are, each worker has one tile, if it is not too large: no
+    more rays can be alive than a tile has.
     """
     if settings.tile_size:
         return settings.tile_size
-    if paged:
+    if many:
         shares = math.ceil(math.sqrt(width * height / workers))
         return min(CUDA_TILE, max(width, height) if workers == 1 else shares)
     quarter = max(
@@ -108,26 +114,26 @@ def tile_edge(
 
 
 def round_tile_edge(
-    settings: RenderSettings, is_cuda: bool, width: int, height: int, workers: int = 1, paged: bool = False
+    settings: RenderSettings, is_cuda: bool, width: int, height: int, workers: int = 1, many: bool = False
 ) -> int:
     """The edge of tiles, as by `tile_edge`, for a render that is cut into rounds.
 
     Tiles come at the pace of rounds, of which the first have few samples. Each tile comes to its end in each round,
     which takes a CPU as long however few paths it has: tiles are large there.
     """
-    edge = tile_edge(settings.replace(sample_count=1), is_cuda, width, height, workers, paged)
+    edge = tile_edge(settings.replace(sample_count=1), is_cuda, width, height, workers, many)
     if is_cuda or settings.tile_size:
         return edge
     return max(edge, math.ceil(math.sqrt(width * height / (CUT_TILES_A_WORKER * workers))))
 
 
 def step_tile_edge(
-    settings: RenderSettings, is_cuda: bool, width: int, height: int, workers: int = 1, paged: bool = False
+    settings: RenderSettings, is_cuda: bool, width: int, height: int, workers: int = 1, many: bool = False
 ) -> int:
     """The edge of tiles, as by `round_tile_edge`, for a render that shows the whole frame after a sample and refines
     it: large tiles would come late.
     """
-    edge = round_tile_edge(settings, is_cuda, width, height, workers, paged)
+    edge = round_tile_edge(settings, is_cuda, width, height, workers, many)
     return edge if is_cuda or settings.tile_size else min(edge, CPU_STEP_TILE)
 
 

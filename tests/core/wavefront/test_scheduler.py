@@ -70,6 +70,14 @@ def test_ray_count_is_shared_by_the_workers():
     assert paths_a_worker(RenderSettings(ray_count=1), 4, False) == 1
 
 
+def test_what_comes_to_a_gpu_serves_more_rays_and_larger_tiles():
+    settings = RenderSettings(sample_count=256)
+    alone, pages, images = ({}, dict(paged=True), dict(in_tiles=True))
+    counts = [paths_a_worker(settings, 1, True, **each) for each in (alone, pages, images)]
+    assert counts == sorted(set(counts))
+    assert tile_edge(settings, True, 1280, 720, many=True) == 1280 > tile_edge(settings, True, 1280, 720)
+
+
 def test_path_count_shrinks_to_memory():
     assert reduced_path_count(1024, 100, 1 << 30) == 1024
     assert reduced_path_count(1024, 100, 30_000) == 256

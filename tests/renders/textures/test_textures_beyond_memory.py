@@ -65,6 +65,14 @@ def test_the_film_is_that_of_images_in_memory(session, whole, change):
     assert film.statistics["rays"] == whole.statistics["rays"]
 
 
+@pytest.mark.parametrize("samples_together, pictures", [(1, 2), (4, 1)])
+def test_a_tile_is_shown_after_as_many_paths_as_wait_together(session, whole, samples_together, pictures):
+    shown, pixels = [], 20 * 16
+    settings = TILED.replace(tile_order="PROGRESSIVE", tile_size=20, ray_count=samples_together * pixels)
+    assert same(session.render(room(), settings, on_tile=shown.append), whole)
+    assert len(shown) == pictures
+
+
 def test_the_least_pool_is_named_and_is_enough(session, whole):
     least = enough(session, room(), TILED.replace(texture_budget=20_000))
     film = session.render(room(), TILED.replace(texture_budget=least))

@@ -250,7 +250,7 @@ class Rendering:
     ) -> FinishedTile:
         """A step of a tile, or all that is left of its round."""
         start, tail_seconds, finished = time.perf_counter(), 0.0, []
-        samples_most = self._step_end(halves)
+        samples_most = self._step_end(integrator, halves)
         begun, before = [state.items_begun for state in halves], integrator.items_done
         for state in halves:
             state.move_to(integrator.device)
@@ -268,18 +268,20 @@ class Rendering:
             self._steps.note(tile.rectangle, samples, end - start, tail_seconds + end - joined)
         return tile
 
-    def _step_end(self, halves: Sequence[TileState]) -> int:
+    def _step_end(self, integrator: TileIntegrator, halves: Sequence[TileState]) -> int:
         """Samples of the round that each half of a tile has when it is shown: the same for all, wherever a stop left
-        them.
+        them. Tiles of images come anew in each step, so it has as many paths as wait together.
         """
         tile = halves[0].tile
         last = max(self._state.samples_of(state).sample_count for state in halves)
         if not self._steps:
             return last
         begun = min(state.items_begun // max(state.pixel_count, 1) for state in halves)
-        share = self._state.items_open / max(sum(state.pixel_count for state in halves), 1)
-        share *= LEFT_SHARE / len(self._integrators)
-        return begun + self._steps.samples((tile.x, tile.y, tile.width, tile.height), last - begun, share)
+        pixels, left = max(sum(state.pixel_count for state in halves), 1), last - begun
+        share = LEFT_SHARE / len(self._integrators) * self._state.items_open / pixels
+        together = integrator.path_count // pixels if integrator.textures else 0
+        samples = self._steps.samples((tile.x, tile.y, tile.width, tile.height), left, share)
+        return begun + max(samples, min(together, left))
 
     def _hand_out(self, tile: FinishedTile) -> None:
         """Put `tile` into the film, and show it."""

@@ -136,7 +136,7 @@ class _Grid:
     """A picture or a level, divided in tiles."""
 
     pixels: np.ndarray
-    address: int  # of the first texel where a GPU reads it; 0 on a CPU
+    read: wp.array | None  # the same where a GPU reads it
     channels: int  # that are stored
     column_bits: int
     row_bits: int
@@ -169,11 +169,11 @@ class TileSource:
         channels = next(shape[1] for shape, known in TEXEL_KINDS.items() if known[0] is picture.texels)
         parts = []
         for place, pixels in enumerate(picture.tiled):
-            address = picture.read[place].ptr if picture.read else 0
+            read = picture.read[place] if picture.read else None
             height, width = pixels.shape[:2]
             columns, rows = ((width - 1) >> column_bits) + 1, ((height - 1) >> row_bits) + 1
             self._first.append(self.number_count)
-            self._grids.append(_Grid(pixels, address, channels, column_bits, row_bits, columns))
+            self._grids.append(_Grid(pixels, read, channels, column_bits, row_bits, columns))
             parts.append(Part(8 * self.number_count, word, width, height))
             self.number_count += 1 + columns * rows
             self.tile_count += columns * rows
@@ -232,7 +232,7 @@ class TileSource:
             return np.array([of(each) for each in self._grids], dtype)
 
         return {
-            "address": column(lambda grid: grid.address, np.uint64),
+            "address": column(lambda grid: grid.read.ptr, np.uint64),
             "height": column(lambda grid: grid.pixels.shape[0]),
             "width": column(lambda grid: grid.pixels.shape[1]),
             "columns": column(lambda grid: grid.columns),
