@@ -99,11 +99,33 @@ class _Function(wp.Function):
         return getattr(self, name)  # of the class that it has now
 
 
+def _wait_for_declaration(self: Any, name: str) -> Any:
+    """`__getattr__` of what is being declared: other threads than the one that does it wait until that is over."""
+    if name.startswith("__"):
+        raise AttributeError(name)
+    with _codegen._codegen_lock:
+        if type(self) in (_FunctionAtWork, _KernelAtWork):
+            raise AttributeError(name)
+    return getattr(self, name)
+
+
+class _FunctionAtWork(wp.Function):
+    """A function while it is declared."""
+
+    __getattr__ = _wait_for_declaration
+
+
+class _KernelAtWork(wp.Kernel):
+    """A kernel while it is declared."""
+
+    __getattr__ = _wait_for_declaration
+
+
 def _declare(function: _Function) -> None:
     """Declare `function` in full; where that fails, the next one who asks gets the same error."""
     global declared_count
     before = dict(vars(function))
-    function.__class__ = wp.Function
+    function.__class__ = _FunctionAtWork
     try:
         _declare_function(function, **before["_noted"], scope_locals={})
     except BaseException as error:
@@ -115,6 +137,7 @@ def _declare(function: _Function) -> None:
         raise
     del function._noted
     vars(function).update({name: before[name] for name in functools.WRAPPER_ASSIGNMENTS if name in before})
+    function.__class__ = wp.Function
     declared_count += 1
 
 
@@ -261,7 +284,7 @@ class _Module(wp.Module):
         with _codegen._codegen_lock:
             for kernel in [each for each in self.all_kernels if type(each) is _Kernel]:
                 before = dict(vars(kernel))
-                kernel.__class__ = wp.Kernel
+                kernel.__class__ = _KernelAtWork
                 try:
                     _declare_kernel(kernel, kernel.func, key=kernel.key, module=self, options=before["options"])
                 except BaseException:  # the next one who asks gets the same error
@@ -269,6 +292,7 @@ class _Module(wp.Module):
                     vars(kernel).clear()
                     vars(kernel).update(before)
                     raise
+                kernel.__class__ = wp.Kernel
                 declared_count += 1
             self.goes_by_what_is_known = False
 

@@ -4,8 +4,10 @@ import functools
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 
 import numpy as np
@@ -298,9 +300,23 @@ def test_a_declaration_that_fails_is_reported_to_each_who_asks(what, error, monk
     assert result_of(bad) == 10.0, "and so does this one, once the cause is gone"
 
 
-def test_several_threads_may_ask_first():
-    from concurrent.futures import ThreadPoolExecutor
+@pytest.mark.parametrize("what", ["kernel", "function"])
+def test_who_asks_while_another_thread_declares_waits_for_it(what, monkeypatch):
+    kernel, asked, declare = make_kernel(6.0), [], getattr(declared, f"_declare_{what}")
+    wanted = kernel if what == "kernel" else kernel.func.__closure__[0].cell_contents
+    with ThreadPoolExecutor(1) as pool:
 
+        def slowly(self, *arguments, **options):
+            if self is wanted and not asked:
+                asked.append(pool.submit(lambda: wanted.adj))
+                wait(asked, 0.2)
+            declare(self, *arguments, **options)
+
+        monkeypatch.setattr(declared, f"_declare_{what}", slowly)
+        assert wanted.adj is asked[0].result() and type(wanted) in (wp.Kernel, wp.Function)
+
+
+def test_several_threads_may_ask_first():
     kernels = [make_kernel(float(number)) for number in range(4)] * 2
     with ThreadPoolExecutor(8) as pool:
         list(pool.map(lambda kernel: load_module(kernel, wp.get_device(CPU)), kernels))
@@ -357,15 +373,12 @@ def test_another_version_of_warp_declares_all_at_once_and_finds_the_same_hash(tm
 
 @pytest.mark.thorough  # declares everything three times
 def test_a_changed_source_is_noticed(tmp_path):
-    import shutil
-
     shutil.copytree(ROOT / "raybatch_addon", tmp_path / "raybatch_addon", ignore=shutil.ignore_patterns("__pycache__"))
     before = run_process(tmp_path, tmp_path / "kernels", "no render")
     changes = tmp_path / "raybatch_addon" / "core" / "programs" / "ops" / "values" / "math.py"
     text = changes.read_text()
     assert "import warp as wp" in text
-    # one constant of one op, at the same place
-    changed = re.sub(r"return wp\.sin\(", "return wp.cos(", text, count=1)
+    changed = re.sub(r"return wp\.sin\(", "return wp.cos(", text, count=1)  # one constant, at the same place
     assert changed != text
     changes.write_text(changed)
     after = run_process(tmp_path, tmp_path / "kernels", "no render")
