@@ -54,11 +54,6 @@ def declare_all(module: wp.Module) -> None:
         module.declare()
 
 
-def module_identity(module: wp.Module) -> str:
-    """The identity of `module`, whose code was hashed; empty where it has none."""
-    return module.identity if isinstance(module, _Module) else ""
-
-
 def is_known(module: wp.Module, block_size: int) -> bool:
     """Whether the hash of `module` is known without declaring it."""
     return not isinstance(module, _Module) or module.is_known(block_size)
@@ -313,12 +308,6 @@ class _Module(wp.Module):
             adj=_Signature(kernel, arg_types, known.dimensions[identity]), is_generic=False, grid_stride=stride
         )
         return True
-
-    @property
-    def identity(self) -> str:
-        """What it is known by; empty where nothing is."""
-        with _codegen._codegen_lock:
-            return self._identities()[0]
 
     def is_known(self, size: int) -> bool:
         """Whether its hash for blocks of `size` threads can be known without its code."""

@@ -377,7 +377,6 @@ def test_a_changed_source_is_noticed(tmp_path):
     before = run_process(tmp_path, tmp_path / "kernels", "no render")
     changes = tmp_path / "raybatch_addon" / "core" / "programs" / "ops" / "values" / "math.py"
     text = changes.read_text()
-    assert "import warp as wp" in text
     changed = re.sub(r"return wp\.sin\(", "return wp.cos(", text, count=1)  # one constant, at the same place
     assert changed != text
     changes.write_text(changed)
