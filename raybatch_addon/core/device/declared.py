@@ -14,13 +14,12 @@ from __future__ import annotations
 import functools
 import itertools
 import types
-import weakref
 from typing import Any
 
 import warp as wp
 
 from .identity import UnknownError, identity_of, is_of_core
-from .ready import KnownModule, forget_module, is_any_known, known_module, note_module
+from .ready import KnownHash, KnownModule, forget_module, is_any_known, known_module, note_module
 
 _WARP_VERSION = "1.19.0"
 _codegen = wp._src.codegen
@@ -52,6 +51,11 @@ def declare_all(module: wp.Module) -> None:
     """Declare all kernels of `module` in full: its code is wanted."""
     if isinstance(module, _Module):
         module.declare()
+
+
+def module_identity(module: wp.Module) -> str:
+    """The identity of `module`, whose code was hashed; empty where it has none."""
+    return module.identity if isinstance(module, _Module) else ""
 
 
 def is_known(module: wp.Module, block_size: int) -> bool:
@@ -220,19 +224,6 @@ class _Signature:
         return getattr(self._kernel.adj, name)
 
 
-class _KnownHash:
-    """Stands for what hashes the code of a module."""
-
-    def __init__(self, own: str, kernel_hashes: dict[wp.Kernel, bytes]):
-        self.hash = bytes.fromhex(own)
-        self.kernel_hashes = weakref.WeakKeyDictionary(kernel_hashes)
-        self.unique_kernels: dict[bytes, wp.Kernel] = {}
-
-    def get_hash(self) -> bytes:
-        """The hash of the module."""
-        return self.hash
-
-
 class _Module(wp.Module):
     """A module whose kernels wait. Its hash is that by which it is known, if it is; its name ends with the hash if it
     is a kernel's own.
@@ -309,6 +300,12 @@ class _Module(wp.Module):
         )
         return True
 
+    @property
+    def identity(self) -> str:
+        """What it is known by; empty where nothing is."""
+        with _codegen._codegen_lock:
+            return self._identities()[0]
+
     def is_known(self, size: int) -> bool:
         """Whether its hash for blocks of `size` threads can be known without its code."""
         with _codegen._codegen_lock:
@@ -338,7 +335,7 @@ class _Module(wp.Module):
             if known and size in known.hashes:
                 own, of_kernels = known.hashes[size]
                 pairs = zip(self.all_kernels, self._known_identities[1], strict=True)
-                self.hashers[size] = _KnownHash(own, {each: bytes.fromhex(of_kernels[name]) for each, name in pairs})
+                self.hashers[size] = KnownHash(own, {each: bytes.fromhex(of_kernels[name]) for each, name in pairs})
                 self.resolved_options[size] = self.resolve_options(wp.config, block_dim=size)
                 self.goes_by_what_is_known = True
                 return self.hashers[size].get_hash()

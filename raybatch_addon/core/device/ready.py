@@ -13,9 +13,12 @@ import json
 import os
 import threading
 import time
+import weakref
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
+
+import warp as wp
 
 from ..files import sole_owner, whole_file
 from .identity import sources_changed, sources_digest
@@ -37,6 +40,19 @@ class KnownModule:
     # by block size: of it, and of its kernels by their identities
     hashes: dict[int, tuple[str, dict[str, str]]] = field(default_factory=dict)
     dimensions: dict[str, int] = field(default_factory=dict)  # of a launch, by kernel
+
+
+class KnownHash:
+    """Stands for what hashes the code of a module, with its hash and those of its kernels."""
+
+    def __init__(self, own: str, kernel_hashes: dict[wp.Kernel, bytes]):
+        self.hash = bytes.fromhex(own)
+        self.kernel_hashes = weakref.WeakKeyDictionary(kernel_hashes)
+        self.unique_kernels: dict[bytes, wp.Kernel] = {}
+
+    def get_hash(self) -> bytes:
+        """The hash of the module."""
+        return self.hash
 
 
 def known_module(identity: str) -> KnownModule | None:
