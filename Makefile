@@ -1,6 +1,6 @@
 # make render   render the demo scene into out/demo.png (statistics beside it, in out/demo.json)
 # make test     check the sources, then run the whole test suite
-# make check    check the sources and run the fast tests: less than two minutes
+# make check    check the sources and run the fast tests: some minutes
 # make format   format and mend the sources
 # make test-all run everything there is on the CPU, for hours, and note it in docs/testing.md; run again, it goes on
 # make test-gpu run what needs no Blender on a CUDA device; PART=1/3, 2/3 and 3/3 run a third each
@@ -34,6 +34,8 @@ pytest := $(venv_python) -m pytest -n $(TEST_JOBS) --maxprocesses 4 --dist loadf
 
 # what the environment compiles ahead serves the tests
 check test test-all: export RAYBATCH_KERNEL_CACHE ?= $(CURDIR)/.cache/kernels
+# these need no kernels of the environment
+lint format package wheel repository docs: export COMPILE_AHEAD = later
 
 .PHONY: help environment render lint format check test test-all test-gpu package wheel repository docs clean
 
@@ -71,10 +73,10 @@ format: environment
 	$(venv_python) -m ruff format $(sources)
 	$(if $(native_headers),$(VENV)/bin/clang-format -i $(native_headers))
 
-check: lint
+check: environment lint
 	$(pytest) --fast
 
-test: lint
+test: environment lint
 	$(pytest) $(TESTS)
 
 test-all: environment

@@ -12,7 +12,11 @@ from typing import IO
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from lib.command import UsageError, run_command
+from lib.held import HeldSignals
+
+held = HeldSignals() if __name__ == "__main__" else None  # until all is imported
+
+from lib.command import CommandParser, UsageError, run_command
 from lib.output import OutputFolders, leave
 from rendering.cluster import check_cluster, cluster_session
 from rendering.request import (
@@ -78,19 +82,20 @@ def with_weight(arguments: list[str]) -> list[str]:
 
 def argument_parser() -> argparse.ArgumentParser:
     """The command line."""
-    parser = argparse.ArgumentParser(
+    parser = CommandParser(
         prog="render.py",
         description=DESCRIPTION,
         formatter_class=argparse.RawTextHelpFormatter,
         allow_abbrev=False,
         epilog=SETTINGS_HELP,
+        settings=SETTINGS,
     )
     add = parser.add_argument
     add("file", nargs="?", type=Path, metavar="FILE", help="what to render")
     add("-o", "--out", metavar="OUT", help=OUT_HELP)
     which = parser.add_mutually_exclusive_group()
     which.add_argument("--frame", type=int, metavar="N", help="the frame to render (default: the file's current one)")
-    which.add_argument("--frames", metavar="A..B", help="the frames to render, both ends included")
+    which.add_argument("--frames", metavar="A..B", help="the frames to render, both ends included, such as 1..24")
     add(
         "--view-layer",
         action="append",
@@ -305,16 +310,17 @@ def _render_by_blender(request: Request, folders: OutputFolders, standard_output
     """The same by Blender's module; `session` renders instead of one of this process, if it is there."""
     from rendering.progress import ProgressBar
 
-    try:
-        import bpy  # noqa: F401
-    except ImportError:
-        raise UsageError(
-            f"{request.source} needs Blender's Python module bpy, which cannot be imported here; .npz and .scene.npz "
-            "do without"
-        ) from None
-    from rendering.blender import BlenderRender
+    with HeldSignals():
+        try:
+            import bpy  # noqa: F401
+        except ImportError:
+            raise UsageError(
+                f"{request.source} needs Blender's Python module bpy, which cannot be imported here; .npz and "
+                ".scene.npz do without"
+            ) from None
+        from rendering.blender import BlenderRender
 
-    from raybatch_addon.blender import sessions
+        from raybatch_addon.blender import sessions
 
     if session is not None:
         sessions.instead = lambda settings: session
@@ -326,6 +332,8 @@ def _render_by_blender(request: Request, folders: OutputFolders, standard_output
 
 def run(options: argparse.Namespace, folders: OutputFolders, standard_output: IO[str]) -> int:
     """The exit code; raises `RayBatchError`."""
+    if held is not None:
+        held.release()
     if options.prewarm:
         if options.file is not None:
             raise UsageError("--prewarm takes no FILE: it compiles what any scene can begin with")

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import argparse
+import difflib
 import sys
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Collection
+from typing import Any, NoReturn
 
 from lib.output import OutputFolders, own_standard_output
 from raybatch_addon.core.errors import RayBatchError
+from raybatch_addon.core.settings.settings import close_names
 
 ERROR, REFUSED, STOPPED = 1, 3, 130  # exit codes: 130 is that of an interrupt (128 + SIGINT)
 
@@ -18,6 +21,25 @@ class UsageError(RayBatchError):
 
 class RefusedError(RayBatchError):
     """Something that was not done because it would have lacked what it may not lack."""
+
+
+class CommandParser(argparse.ArgumentParser):
+    """A parser whose errors are one line, and say what an unknown option may have meant."""
+
+    def __init__(self, *, settings: Collection[str] = (), **options: Any) -> None:
+        """`settings`: names that --set knows."""
+        super().__init__(**options)
+        self._settings = settings
+
+    def error(self, message: str) -> NoReturn:
+        """Print `message`, and exit with 2."""
+        unknown = message.partition("unrecognized arguments: ")[2].split(" ")[0].partition("=")[0]
+        if unknown.startswith("--"):
+            options = [each for action in self._actions for each in action.option_strings]
+            close = [f"--set {each}=VALUE" for each in close_names(unknown.lstrip("-"), self._settings)]
+            close = difflib.get_close_matches(unknown, options, n=1, cutoff=0.8) or close
+            message = f"there is no option {unknown}" + (f": did you mean {close[0]}?" if close else "")
+        self.exit(2, f"{self.prog}: error: {message}{'' if message.endswith('?') else ';'} --help lists all options\n")
 
 
 def run_command(

@@ -142,6 +142,7 @@ class BlenderRender:
     def _render_stills(self, scene: bpy.types.Scene, frames: tuple[int, ...]) -> None:
         request, many = self._request, len(frames) > 1
         places = [_still_path(scene, request.out, number, many) if request.out else None for number in frames]
+        print_notes(_names_to_know(request.out))
         files = [FrameFiles.of(request, number, many, place) for number, place in zip(frames, places, strict=True)]
         for path in {path.parent: path for each in files for path in each.paths}.values():
             self._folders.prepare(path)
@@ -154,6 +155,8 @@ class BlenderRender:
                 self._render_frames(scene, frames)
             except KeyboardInterrupt:
                 if deliveries.failure is None and not deliveries.are_complete:
+                    if many:
+                        print_notes([deliveries.how_far])
                     raise
             if deliveries.failure is not None:
                 raise deliveries.failure
@@ -300,6 +303,18 @@ def _still_path(scene: bpy.types.Scene, out: str, number: int, many: bool) -> Pa
         return Path(scene.render.frame_path(frame=number))
     finally:
         scene.render.filepath = before
+
+
+def _names_to_know(out: str | None) -> list[str]:
+    """Notes where `out` is named as Blender does it, which may not have been meant."""
+    if not out or picture_formats(out) or out.endswith(("/", os.sep)):
+        return []
+    if os.path.isdir(_absolute(out)):
+        return [f"{out} is a folder, and pictures get its name with a number behind; write {out}/ to have them in it"]
+    extension = os.path.splitext(out)[1]
+    if extension and "#" not in extension:
+        return [f"{extension} is no picture's extension: {out} is taken as Blender does, with a number and one behind"]
+    return []
 
 
 def _one_line(error: BaseException) -> str:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
-from lib.output import film_arrays, numbered, write_film
+from lib.output import film_arrays, numbered, print_saved, write_film
 from lib.writer import BackgroundWriter
 
 from raybatch_addon.blender import checkpoints
@@ -109,6 +109,15 @@ class FrameDeliveries:
         """Whether all frames have been rendered and handed on."""
         return self._delivered == len(self._by_number)
 
+    @property
+    def how_far(self) -> str:
+        """Of a sequence that was stopped: which frames are there, and how to get the others."""
+        numbers = list(self._by_number)
+        rest = f"--frames {numbers[self._delivered]}..{numbers[-1]}"
+        if not self._delivered:
+            return f"stopped in frame {numbers[0]}, the first: none is written"
+        return f"stopped in frame {numbers[self._delivered]}: those before it are written, and {rest} goes on"
+
     def _begin(self, scene: bpy.types.Scene, *_: object) -> None:
         """Blender begins a frame."""
         with self._keeping_failure():
@@ -141,6 +150,7 @@ class FrameDeliveries:
             self._films.clear()
             if files.film is not None:
                 self._writer.write(functools.partial(write_film, files.film, arrays))
+                self._writer.write(functools.partial(print_saved, files.film, "the film"))
             for path, name, values in heated:
                 self._writer.write(functools.partial(write_heat_map, path, values, name))
             self._delivered += 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -86,7 +87,7 @@ def parse_frames(text: str) -> tuple[int, ...]:
     try:
         a, b = int(first), int(last)
     except ValueError:
-        raise UsageError(f"--frames {text} is not a range A..B of whole numbers") from None
+        raise UsageError(f"--frames {text} is not a range A..B of whole numbers, such as 1..24") from None
     if not dots or a > b:
         raise UsageError(f"--frames {text} is not a range A..B with A at most B")
     return tuple(range(a, b + 1))
@@ -97,7 +98,9 @@ def parse_pass(text: str) -> str:
     for name in PASS_NAMES:
         if text.strip().lower() == name.lower():
             return name
-    raise UsageError(f"there is no pass {text.strip()!r}; the passes are {', '.join(PASS_NAMES)}")
+    close = difflib.get_close_matches(text.strip().title(), PASS_NAMES)
+    hint = f"did you mean {' or '.join(close)}?" if close else f"the passes are {', '.join(PASS_NAMES)}"
+    raise UsageError(f"there is no pass {text.strip()!r}; {hint}")
 
 
 def parse_heat_map(text: str) -> tuple[str, str]:

@@ -101,6 +101,7 @@ def render_standalone(
         print_saved(out)
     if film_path is not None:
         write_film(film_path, film_arrays([("", film)]))
+        print_saved(film_path, "the film")
     for name, path in heat_maps:
         write_heat_map(path, film.passes[name][..., 0], name)
     _report(request, film, scene, standard_output)

@@ -156,7 +156,7 @@ class TierChanges:
             return Polled(False)
         decision = weigh_compiling(request, self._spent.get(request.features, 0.0), left, self._device)
         if decision.pays:
-            self._begin(request)
+            self._begin(request, hurried=True)
         return Polled(False, decision)
 
     def rest(self, request: CompileRequest) -> None:
@@ -183,8 +183,10 @@ class TierChanges:
             self._process = None
         return True
 
-    def _begin(self, request: CompileRequest) -> None:
-        """Begin to compile, unless the session is closed."""
+    def _begin(self, request: CompileRequest, hurried: bool = False) -> None:
+        """Begin to compile, unless the session is closed. `hurried`: a render waits for it. Beside one that keeps all
+        cores busy a compiler of low priority would get a tenth of one, and end after the render.
+        """
         with self._lock:
             if self._closed:
                 return
@@ -192,7 +194,7 @@ class TierChanges:
         if before:
             before.stop()  # for a scene that is not rendered now
         try:
-            process = CompileProcess(self._device.alias, warp_cache_folder(), request)
+            process = CompileProcess(self._device.alias, warp_cache_folder(), request, hurried)
         except OSError as error:
             self.fail(request.features, f"no process could be started: {error}")
             return

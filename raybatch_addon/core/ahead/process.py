@@ -1,5 +1,5 @@
-"""A process that compiles kernels into the cache, at low priority: the render beside it keeps Python to itself, and
-may end without waiting for a compiler.
+"""A process that compiles kernels into the cache: the render beside it keeps Python to itself, and may end without
+waiting for a compiler.
 """
 
 from __future__ import annotations
@@ -34,10 +34,11 @@ _running: list[CompileProcess] = []  # and some that have ended
 class CompileProcess:
     """Compiles kernels; begins at once, and ends with this process at the latest. Warp need not be there yet."""
 
-    def __init__(self, device: str, cache_folder: str | Path, request: Request | None = None):
+    def __init__(self, device: str, cache_folder: str | Path, request: Request | None = None, hurried: bool = False):
         """For `device` (AUTO, cpu, cuda:N, or ALL: the CPU and a GPU of each kind) into `cache_folder`.
 
-        `request`: what to compile (default: the general kernels). Raises `OSError` where no process can be started.
+        `request`: what to compile (default: the general kernels). `hurried`: a render that keeps all cores busy waits
+        for it; else it has low priority. Raises `OSError` where no process can be started.
         """
         self._last_line = ""
         self.progress: tuple[int, int] | None = None  # modules that are there, and all; None: not counted yet
@@ -45,6 +46,7 @@ class CompileProcess:
             "paths": [path for path in sys.path if path],
             "cache": str(cache_folder),
             "device": device,
+            "niceness": 0 if hurried else _NICENESS,
             "core": __name__.removesuffix("ahead.process"),
         }
         data = b""
@@ -55,7 +57,7 @@ class CompileProcess:
         head = json.dumps(order).encode()
         flags = 0
         if sys.platform == "win32":
-            flags = subprocess.CREATE_NO_WINDOW | subprocess.BELOW_NORMAL_PRIORITY_CLASS
+            flags = subprocess.CREATE_NO_WINDOW | (0 if hurried else subprocess.BELOW_NORMAL_PRIORITY_CLASS)
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-c", _CHILD, str(_PACKAGE_FOLDER)],
             stdin=subprocess.PIPE,
@@ -136,8 +138,6 @@ atexit.register(stop_all)
 
 def compile_as_asked() -> None:
     """The other process: compile what standard input asks for."""
-    if hasattr(os, "nice"):
-        os.nice(_NICENESS)
     # compilers may write what nobody asked for: the answer is how far this is, and in the end one line
     answer = os.fdopen(os.dup(2), "w", buffering=1, encoding="utf-8")
     with open(os.devnull, "wb") as nothing:
@@ -147,6 +147,8 @@ def compile_as_asked() -> None:
         head_length, data_length = struct.unpack(_LENGTHS, pipe.read(struct.calcsize(_LENGTHS)))
         order: dict[str, Any] = json.loads(pipe.read(head_length))
         data = pipe.read(data_length)
+        if hasattr(os, "nice"):
+            os.nice(order["niceness"])
         threading.Thread(target=_end_with, args=(pipe,), daemon=True).start()
         sys.path += [path for path in order["paths"] if path not in sys.path]
         from ..device.devices import find_device, load_kernels, one_of_each_kind, start_warp

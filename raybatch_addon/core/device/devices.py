@@ -131,6 +131,8 @@ def find_devices(names: str) -> list[wp.Device]:
         names = ",".join(each.alias for each in wp.get_cuda_devices() if is_alike(each, first)) or first.alias
     found: list[wp.Device] = []
     for name in names.split(","):
+        if not name.strip() and names.strip():
+            raise DeviceError(f"{names!r} has a comma too many")
         device = find_device(name)
         if device in found:
             raise DeviceError(f"{names!r} names {device.alias} twice; name each device once")

@@ -19,7 +19,7 @@ class DeviceSettings:
         "AUTO",
         "Device",
         "Where to render: AUTO (the first CUDA device, else the CPU), cpu, cuda:N, several of these with commas "
-        "between, which share each picture, or ALL CUDA devices of the first one's model",
+        "between, which share each picture, or ALL CUDA devices of the first one's model (the CPU where there is none)",
         group="DEVICE",
         effect="schedule",
         auto="AUTO",

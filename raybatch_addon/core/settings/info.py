@@ -193,8 +193,9 @@ def checked(info: SettingInfo, value: Any) -> Any:
     536,870,912.
     """
 
-    def complaint() -> SettingsError:
-        return SettingsError(f"{info.name} = {given!r} is not valid: it must be {info.range_text()}{_unit_hint(info)}")
+    def complaint(whole: str = "") -> SettingsError:
+        legal = f"{whole}{info.range_text()}{_unit_hint(info)}"
+        return SettingsError(f"{info.name} = {given!r} is not valid: it must be {legal}")
 
     given = value
     if info.kind is str:
@@ -212,10 +213,10 @@ def checked(info: SettingInfo, value: Any) -> Any:
         if info.kind is int:
             exact = int(value) if not isinstance(value, float) else int(number)
             if exact != number and abs(number) < 2**53:
-                raise complaint()
+                raise ValueError(number)
             number = exact
     except (TypeError, ValueError, OverflowError):
-        raise complaint() from None
+        raise complaint("a whole number, " if info.kind is int else "") from None
     if not math.isfinite(number) or not minimum <= number <= maximum:
         raise complaint()
     if info.kind is int and number != minimum and (number < info.least or number % info.multiple):

@@ -155,9 +155,16 @@ def setting_info(name: str, beside: Iterable[str] = ()) -> SettingInfo:
         return SETTINGS[name]
     except KeyError:
         names = sorted((*SETTINGS, *beside))
-        close = difflib.get_close_matches(name.lower().replace("-", "_"), names)
+        close = close_names(name, names)
         hint = f"did you mean {' or '.join(close)}?" if close else f"the settings are {', '.join(names)}"
         raise SettingsError(f"no setting is called {name!r}; {hint}") from None
+
+
+def close_names(name: str, names: Iterable[str]) -> list[str]:
+    """What `name` may have meant, the likeliest first: `samples` is the number of them, `bounces` the most."""
+    asked = name.lower().replace("-", "_")
+    numbers = [each for each in names if each in (f"{asked.removesuffix('s')}_count", f"{asked.removesuffix('s')}_max")]
+    return numbers + [each for each in difflib.get_close_matches(asked, names) if each not in numbers]
 
 
 def parse_setting(name: str, text: str, beside: Iterable[str] = ()) -> Any:

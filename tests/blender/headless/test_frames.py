@@ -84,7 +84,10 @@ def test_frames_without_a_picture_leave_films_alone(blend, tmp_path):
     out = tmp_path / "out"
     done = call_script("render.py", blend, "--frames", "1..2", "--film", out / "f.npz")
     assert done.returncode == 0 and names(out) == ["f0001.npz", "f0002.npz"]
-    assert "saved" not in done.stderr
+    assert [line.partition("out/")[2] for line in done.stderr.splitlines() if "saved" in line] == [
+        "f0001.npz (the film)",
+        "f0002.npz (the film)",
+    ]
 
 
 def test_frames_before_the_first_of_blenders_animations(blend, tmp_path):
@@ -285,6 +288,7 @@ def test_a_stop_between_two_frames_keeps_what_is_finished(blend, tmp_path, monke
     more = ["--film", out / "f.npz"] if films else []
     done = call_script("render.py", blend, "--frames", "1..5", "-o", out / "p.png", "--json", report, *more)
     assert done.returncode == 130 and done.stderr.endswith("render.py: stopped\n")
+    assert "stopped in frame 3: those before it are written, and --frames 3..5 goes on" in done.stderr
     assert names(out) == ["f0001.npz", "f0002.npz"] * films + ["p0001.png", "p0002.png"]
     assert [each["frame"]["number"] for each in json.loads(report.read_text())] == [1, 2]
     assert len(begun) == 3
@@ -318,3 +322,11 @@ def test_a_stop_while_the_last_frame_ends_is_no_stop(blend, tmp_path, monkeypatc
     done = call_script("render.py", blend, "--frames", "1..2", "-o", tmp_path / "out" / "p.png")
     assert done.returncode == 0, done.stderr
     assert names(tmp_path / "out") == ["p0001.png", "p0002.png"]
+
+
+def test_names_that_may_not_be_meant_are_noted(blend, tmp_path):
+    (tmp_path / "frames").mkdir()
+    for out, said in (("frames", "frames is a folder, and pictures get its name"), ("x.xyz", ".xyz is no picture's")):
+        done = call_script("render.py", blend, "-o", tmp_path / out)
+        assert done.returncode == 0 and said in done.stderr
+    assert {"frames0001.png", "x.xyz0001.png"} <= set(names(tmp_path))

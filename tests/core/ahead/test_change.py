@@ -162,8 +162,10 @@ def test_a_render_says_that_kernels_were_not_ready(monkeypatch, request_of_one, 
 
 def test_what_an_earlier_render_began_is_told(monkeypatch, request_of_one):
     changes = TierChanges(wp.get_device(DEVICE))
-    monkeypatch.setattr(change, "CompileProcess", FakeProcess)
+    started = []
+    monkeypatch.setattr(change, "CompileProcess", lambda *how: started.append(how) or FakeProcess())
     assert changes.poll(request_of_one, None).decision.pays
+    assert started[0][-1], "a render waits for it"
     watched = TierChange(changes, request_of_one, [], lambda: None, wp.get_device(DEVICE))
     watched.close()
     assert watched.why == "compiling began with an earlier render; they were not ready before the end"
@@ -244,7 +246,8 @@ def test_what_a_render_lacked_is_compiled_after_it_where_the_process_stays(monke
     class Compiling:
         is_running = True
 
-        def __init__(self, _device, _folder, request):
+        def __init__(self, _device, _folder, request, hurried):
+            assert not hurried  # no render waits for it
             started.append(request.features)
 
         def stop(self):

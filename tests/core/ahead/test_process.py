@@ -99,16 +99,19 @@ def test_a_process_whose_answer_nobody_can_read_is_none(tmp_path, monkeypatch):
 
 # The other process, where there are two kinds of devices
 OF_TWO_KINDS = """
-import sys
+import os, sys
 from types import SimpleNamespace
 from raybatch_addon.core.ahead import process, request
 from raybatch_addon.core.device import devices, kept_kernels
+before = os.nice(0)
 kinds = {"first": None, "second": [SimpleNamespace(module=SimpleNamespace(name=name)) for name in "ab"]}
 def kernels(_request, device):
     if kinds[device] is None:
         raise ValueError("no kernels for it")
     return kinds[device]
 def load_kernels(kernels, device, on_module):
+    if os.nice(0) != before + 3:
+        raise ValueError("it hurries")
     on_module(0, 2)
     on_module(2, 2)
     return ["a", "b"]
@@ -120,7 +123,7 @@ process.compile_as_asked()
 
 def test_a_device_that_fails_does_not_stop_another(tmp_path):
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
-    order = json.dumps({"paths": [], "cache": str(tmp_path), "device": "ALL", "core": ""}).encode()
+    order = json.dumps({"paths": [], "cache": str(tmp_path), "device": "ALL", "niceness": 3, "core": ""}).encode()
     command = [sys.executable, "-c", OF_TWO_KINDS]
     # the pipe must not end before the process does
     with subprocess.Popen(command, env=environment, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as other:

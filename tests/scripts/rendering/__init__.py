@@ -1,0 +1,1 @@
+"""Tests of render.py without Blender."""
