@@ -13,8 +13,6 @@ from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support import scenes
 from tests.support.command_line import error_line, run_script
 
-pytestmark = pytest.mark.usefixtures("general_kernels_of_module")
-
 PIXEL, SAMPLES = (3, 4), 50
 
 
