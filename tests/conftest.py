@@ -111,3 +111,12 @@ def general_kernels():
 
     with by_general_kernels():
         yield
+
+
+@pytest.fixture(scope="module")
+def general_kernels_of_module():
+    """The same for all tests of a file, and for what they share."""
+    from tests.support.running.general_kernels import by_general_kernels
+
+    with by_general_kernels():
+        yield

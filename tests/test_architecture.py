@@ -1,14 +1,13 @@
 """The laws of the source itself: who may import whom, how large a file and a kernel may be."""
 
 import ast
+import functools
 import graphlib
 import re
 import subprocess
 import sys
 from collections import Counter, defaultdict
 from pathlib import Path
-
-import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "raybatch_addon"
@@ -108,14 +107,21 @@ def room_of(path: Path) -> int:
     raise AssertionError(f"{name} belongs to no room: give it a place in ROOMS (and in the architecture page)")
 
 
+@functools.cache
 def parsed(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"), str(path))
 
 
+@functools.cache
+def nodes_of(path: Path) -> list[ast.AST]:
+    return list(ast.walk(parsed(path)))
+
+
+@functools.cache
 def import_targets(path: Path) -> set[Path]:
     """Files of the package that `path` imports, wherever in it the import stands."""
     targets = set()
-    for node in ast.walk(parsed(path)):
+    for node in nodes_of(path):
         if not isinstance(node, ast.ImportFrom) or node.level == 0:
             continue
         base = path.parent
@@ -151,7 +157,7 @@ def callee_of(node: ast.expr) -> str:
 def absolute_imports(path: Path) -> set[str]:
     """Top-level names of the packages that `path` imports by absolute name."""
     names = set()
-    for node in ast.walk(parsed(path)):
+    for node in nodes_of(path):
         if isinstance(node, ast.Import):
             names |= {alias.name.split(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.level == 0:
@@ -159,10 +165,10 @@ def absolute_imports(path: Path) -> set[str]:
     return names
 
 
-@pytest.mark.parametrize("path", FILES, ids=name_of)
-def test_imports_go_up_the_rooms(path):
-    for target in import_targets(path):
-        assert room_of(target) <= room_of(path), f"{name_of(path)} imports {name_of(target)}, which is in a later room"
+def test_imports_go_up_the_rooms():
+    for path in FILES:
+        for target in import_targets(path):
+            assert room_of(target) <= room_of(path), f"{name_of(path)} imports {name_of(target)}, of a later room"
 
 
 def test_files_import_each_other_in_no_circle():
@@ -171,15 +177,14 @@ def test_files_import_each_other_in_no_circle():
     graphlib.TopologicalSorter({path: targets & imported.keys() for path, targets in imported.items()}).prepare()
 
 
-@pytest.mark.parametrize("path", FILES, ids=name_of)
-def test_imports_within_the_package_are_relative(path):
-    assert PACKAGE.name not in absolute_imports(path)
+def test_imports_within_the_package_are_relative():
+    assert not [name_of(path) for path in FILES if PACKAGE.name in absolute_imports(path)]
 
 
-@pytest.mark.parametrize("path", CORE_FILES, ids=name_of)
-def test_the_core_knows_nothing_of_blender(path):
-    assert not absolute_imports(path) & {"bpy", "mathutils", "bl_ui", "bpy_types"}
-    assert all(PACKAGE / "core" in target.parents for target in import_targets(path))
+def test_the_core_knows_nothing_of_blender():
+    for path in CORE_FILES:
+        assert not absolute_imports(path) & {"bpy", "mathutils", "bl_ui", "bpy_types"}, name_of(path)
+        assert all(PACKAGE / "core" in target.parents for target in import_targets(path)), name_of(path)
 
 
 def test_only_export_reads_blenders_scene_and_only_result_writes_its_pixels():
@@ -212,10 +217,10 @@ assert np.allclose(film.passes["Combined"][..., :3], (1, 0.5, 0.25))
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize("path", CODE, ids=lambda path: path.relative_to(ROOT).as_posix())
-def test_files_are_short(path):
-    line_count = len(path.read_text(encoding="utf-8").splitlines())
-    assert line_count < LINES_MAX, f"{path} has {line_count} lines"
+def test_files_are_short():
+    counts = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in CODE}
+    long = {path.relative_to(ROOT).as_posix(): count for path, count in counts.items() if count >= LINES_MAX}
+    assert not long, f"{LINES_MAX} lines or more: {long}"
 
 
 def test_folders_hold_few_files():
@@ -225,10 +230,10 @@ def test_folders_hold_few_files():
     assert not full, f"more than {FOLDER_FILES_MAX} files: make folders of one idea each in {full}"
 
 
-@pytest.mark.parametrize("folder", FOLDERS, ids=name_of)
-def test_every_folder_says_in_one_sentence_what_it_is(folder):
-    about = " ".join((ast.get_docstring(parsed(folder / "__init__.py")) or "").split())
-    assert re.fullmatch(r"(?:(?![.!?]\s+[A-Z`]).)*\.", about), f"{name_of(folder)}/__init__.py says: {about!r}"
+def test_every_folder_says_in_one_sentence_what_it_is():
+    for folder in FOLDERS:
+        about = " ".join((ast.get_docstring(parsed(folder / "__init__.py")) or "").split())
+        assert re.fullmatch(r"(?:(?![.!?]\s+[A-Z`]).)*\.", about), f"{name_of(folder)}/__init__.py says: {about!r}"
 
 
 def public_definitions(path: Path) -> list[str]:
@@ -274,49 +279,47 @@ def test_nothing_is_defined_twice_under_one_public_name():
     assert not twice, twice
 
 
-@pytest.mark.parametrize("path", CORE_FILES, ids=name_of)
-def test_kernels_are_declared_with_the_cores_options_and_have_few_parameters(path):
-    bodies, called = {}, []
-    for node in ast.walk(parsed(path)):
-        if isinstance(node, ast.FunctionDef):
-            bodies[node.name] = len(node.args.args)
-            called += [
-                (ast.unparse(each), node.name) for each in node.decorator_list if "wp.kernel" in ast.unparse(each)
-            ]
-        elif isinstance(node, ast.Call) and ast.unparse(node.func) == "wp.kernel" and node.args:
-            called.append((f"wp.kernel({ast.unparse(node.keywords[0])})", ast.unparse(node.args[0])))
-    for found, name in called:
-        found = re.sub(r"general_options\('\w+', of\)", "KERNEL_OPTIONS", found)
-        found = found.replace("kernel_options(out_of_line)", "KERNEL_OPTIONS")
-        assert found == "wp.kernel(**KERNEL_OPTIONS)", f"{name_of(path)}: {name}"
-        assert bodies[name] <= KERNEL_PARAMETERS_MAX, f"{name_of(path)}: {name}"
+def test_kernels_are_declared_with_the_cores_options_and_have_few_parameters():
+    for path in CORE_FILES:
+        bodies, called = {}, []
+        for node in nodes_of(path):
+            if isinstance(node, ast.FunctionDef):
+                bodies[node.name] = len(node.args.args)
+                decorators = map(ast.unparse, node.decorator_list)
+                called += [(each, node.name) for each in decorators if "wp.kernel" in each]
+            elif isinstance(node, ast.Call) and ast.unparse(node.func) == "wp.kernel" and node.args:
+                called.append((f"wp.kernel({ast.unparse(node.keywords[0])})", ast.unparse(node.args[0])))
+        for found, name in called:
+            found = re.sub(r"general_options\('\w+', of\)", "KERNEL_OPTIONS", found)
+            found = found.replace("kernel_options(out_of_line)", "KERNEL_OPTIONS")
+            assert found == "wp.kernel(**KERNEL_OPTIONS)", f"{name_of(path)}: {name}"
+            assert bodies[name] <= KERNEL_PARAMETERS_MAX, f"{name_of(path)}: {name}"
 
 
-@pytest.mark.parametrize("path", CORE_FILES, ids=name_of)
-def test_native_functions_have_few_parameters(path):
-    for node in ast.walk(parsed(path)):
-        if isinstance(node, ast.FunctionDef) and any("func_native" in ast.unparse(d) for d in node.decorator_list):
-            assert len(node.args.args) <= NATIVE_PARAMETERS_MAX, f"{name_of(path)}: {node.name}"
+def test_native_functions_have_few_parameters():
+    for path in CORE_FILES:
+        for node in nodes_of(path):
+            if isinstance(node, ast.FunctionDef) and any("func_native" in ast.unparse(d) for d in node.decorator_list):
+                assert len(node.args.args) <= NATIVE_PARAMETERS_MAX, f"{name_of(path)}: {node.name}"
 
 
-@pytest.mark.parametrize("path", CORE_FILES, ids=name_of)
-def test_native_code_comes_from_headers_alone(path):
+def test_native_code_comes_from_headers_alone():
     """A native function takes a plain `native_source(...)`, or what a function of its file returns, which is one."""
-    nodes = list(ast.walk(parsed(path)))
-    functions = [node for node in nodes if isinstance(node, ast.FunctionDef)]
-    returned = {each.name: [n.value for n in ast.walk(each) if isinstance(n, ast.Return)] for each in functions}
-    for native in nodes:
-        if isinstance(native, ast.Call) and ast.unparse(native.func).endswith("func_native"):
-            source = [*native.args, *(each.value for each in native.keywords)][0]
-            made = returned.get(callee_of(source), [source])
-            assert made and {callee_of(each) for each in made} == {"native_source"}, f"{name_of(path)}: {native.lineno}"
+    for path in CORE_FILES:
+        functions = [node for node in nodes_of(path) if isinstance(node, ast.FunctionDef)]
+        returned = {each.name: [n.value for n in ast.walk(each) if isinstance(n, ast.Return)] for each in functions}
+        for native in nodes_of(path):
+            if isinstance(native, ast.Call) and ast.unparse(native.func).endswith("func_native"):
+                source = [*native.args, *(each.value for each in native.keywords)][0]
+                made = returned.get(callee_of(source), [source])
+                assert {callee_of(each) for each in made} == {"native_source"}, f"{name_of(path)}: {native.lineno}"
 
 
-@pytest.mark.parametrize("path", CORE_FILES, ids=name_of)
-def test_functions_of_kernels_have_few_parameters(path):
-    for node in ast.walk(parsed(path)):
-        if isinstance(node, ast.FunctionDef) and "wp.func" in map(ast.unparse, node.decorator_list):
-            assert len(node.args.args) <= FUNCTION_PARAMETERS_MAX, f"{name_of(path)}: {node.name}"
+def test_functions_of_kernels_have_few_parameters():
+    for path in CORE_FILES:
+        for node in nodes_of(path):
+            if isinstance(node, ast.FunctionDef) and "wp.func" in map(ast.unparse, node.decorator_list):
+                assert len(node.args.args) <= FUNCTION_PARAMETERS_MAX, f"{name_of(path)}: {node.name}"
 
 
 def test_lambdas_of_headers_have_few_parameters():
@@ -329,24 +332,24 @@ def test_lambdas_of_headers_have_few_parameters():
     assert not {name: count for name, count in counts.items() if count > NATIVE_PARAMETERS_MAX}
 
 
-@pytest.mark.parametrize("path", [*FILES, *SCRIPTS], ids=lambda path: path.relative_to(ROOT).as_posix())
-def test_wide_dataclasses_are_built_by_keywords(path):
+def test_wide_dataclasses_are_built_by_keywords():
     """At most the first few fields of a wide dataclass are given by their order."""
-    for node in ast.walk(parsed(path)):
-        if not isinstance(node, ast.ClassDef):
-            continue
-        decorators = [ast.unparse(each) for each in node.decorator_list]
-        types = [ast.unparse(each.annotation) for each in node.body if isinstance(each, ast.AnnAssign)]
-        by_order = types.index("KW_ONLY") if "KW_ONLY" in types else len(types)
-        if any(each.startswith("dataclass") and "kw_only=True" not in each for each in decorators):
-            assert by_order < WIDE_FIELDS, f"{node.name} is built by the order of {by_order} fields"
+    for path in [*FILES, *SCRIPTS]:
+        for node in nodes_of(path):
+            if not isinstance(node, ast.ClassDef):
+                continue
+            decorators = [ast.unparse(each) for each in node.decorator_list]
+            types = [ast.unparse(each.annotation) for each in node.body if isinstance(each, ast.AnnAssign)]
+            by_order = types.index("KW_ONLY") if "KW_ONLY" in types else len(types)
+            if any(each.startswith("dataclass") and "kw_only=True" not in each for each in decorators):
+                assert by_order < WIDE_FIELDS, f"{path}: {node.name} is built by the order of {by_order} fields"
 
 
 def wide_tuples() -> set[str]:
     """Names of the named tuples that have as many fields as a wide dataclass."""
     names = set()
     for path in [*FILES, *SCRIPTS]:
-        for node in ast.walk(parsed(path)):
+        for node in nodes_of(path):
             if isinstance(node, ast.ClassDef) and "NamedTuple" in map(ast.unparse, node.bases):
                 if sum(isinstance(each, ast.AnnAssign) for each in node.body) >= WIDE_FIELDS:
                     names.add(node.name)
@@ -379,14 +382,14 @@ def test_wide_calls_give_their_arguments_by_name():
     assert not found, f"give the last arguments by name in {found}"
 
 
-@pytest.mark.parametrize("path", FILES, ids=name_of)
-def test_files_and_public_definitions_say_what_they_are(path):
-    tree = parsed(path)
-    assert not tree.body or ast.get_docstring(tree), f"{name_of(path)} does not say what it is for"
-    for node in tree.body:
-        native = any("func_native" in ast.unparse(decorator) for decorator in getattr(node, "decorator_list", []))
-        if isinstance(node, (ast.FunctionDef, ast.ClassDef)) and not node.name.startswith("_") and not native:
-            assert ast.get_docstring(node), f"{name_of(path)}: {node.name}"
+def test_files_and_public_definitions_say_what_they_are():
+    for path in FILES:
+        tree = parsed(path)
+        assert not tree.body or ast.get_docstring(tree), f"{name_of(path)} does not say what it is for"
+        for node in tree.body:
+            native = any("func_native" in ast.unparse(decorator) for decorator in getattr(node, "decorator_list", []))
+            if isinstance(node, (ast.FunctionDef, ast.ClassDef)) and not node.name.startswith("_") and not native:
+                assert ast.get_docstring(node), f"{name_of(path)}: {node.name}"
 
 
 def test_a_room_that_reaches_down_would_be_found():

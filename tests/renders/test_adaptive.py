@@ -16,9 +16,11 @@ from raybatch_addon.core.wavefront.adaptive.looks import Looks
 from raybatch_addon.core.wavefront.adaptive.noise import RADIUS
 from raybatch_addon.core.wavefront.render import resume
 from tests.support import scenes, schedule_scenes
+from tests.support.running.shares import each_of
 from tests.support.under_test import DEVICE
 from tests.support.watched_renders import FRAME, SETTINGS, WatchedSession, Watcher, assert_same, rounded_anew, stopping
 
+pytestmark = pytest.mark.usefixtures("general_kernels_of_module")
 ADAPTIVE = SETTINGS.replace(
     sample_count=40, adaptive_sampling="ON", noise_threshold=0.1, adaptive_samples_min=8, thread_count=2
 )
@@ -75,7 +77,7 @@ def test_no_schedule_changes_the_film(session, plain, way):
     assert film.statistics["rays"] == plain.statistics["rays"]
 
 
-@pytest.mark.parametrize("number", range(6))
+@pytest.mark.parametrize("number", each_of(3, range(6)))
 def test_stops_and_snapshots_change_nothing(session, plain, number):
     watched = WatchedSession(session)
     watched.random = np.random.default_rng(number)
@@ -345,7 +347,9 @@ def test_rare_bright_light_is_not_lost_as_by_rules_that_look_at_the_pixel_itself
         view=scenes.camera(eye=(0, -6, 3), half_width=0.4),
         frame=Frame(24, 24),
     )
-    settings = SETTINGS.replace(clamp_indirect=0.0, bounce_max=1, nee="OFF", sample_sequence="INDEPENDENT")
+    settings = SETTINGS.replace(
+        clamp_indirect=0.0, bounce_max=1, nee="OFF", sample_sequence="INDEPENDENT", kernel_tier="SPECIALISED"
+    )
     adaptive = settings.replace(sample_count=256, adaptive_sampling="ON", noise_threshold=0.05, adaptive_samples_min=32)
 
     def mean(film):

@@ -10,6 +10,8 @@ from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support import scenes
 from tests.support.under_test import DEVICE
 
+pytestmark = pytest.mark.usefixtures("general_kernels_of_module")
+
 RNG = np.random.default_rng(11)
 
 

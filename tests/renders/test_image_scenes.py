@@ -26,6 +26,8 @@ from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.shading.images.textures import Extension, Interpolation
 from raybatch_addon.core.wavefront.scene.scene_cache import SceneCache
 
+pytestmark = pytest.mark.usefixtures("general_kernels_of_module")
+
 SETTINGS = RenderSettings(
     sample_count=1, bounce_max=0, pixel_filter="BOX"
 )  # every ray stays in its pixel, which is one texel

@@ -26,6 +26,8 @@ from tests.support.watched_renders import (  # noqa: F401 (`halves_film` is the 
     stopping,
 )
 
+pytestmark = pytest.mark.usefixtures("general_kernels_of_module")
+
 OFTEN = ("unbatched", "batched")  # the others in a thorough run
 WAYS = {
     "unbatched": dict(batching="OFF"),

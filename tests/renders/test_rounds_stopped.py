@@ -24,6 +24,8 @@ from tests.support.watched_renders import (  # noqa: F401 (`halves_film` is the 
     stopping,
 )
 
+pytestmark = pytest.mark.usefixtures("general_kernels_of_module")
+
 
 @pytest.mark.parametrize("estimate", each_of(2, ["ON", "OFF"]))
 @pytest.mark.parametrize("name", schedule_scenes.SCENES)

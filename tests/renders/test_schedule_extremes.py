@@ -18,6 +18,7 @@ from tests.support import scenes, schedule_scenes
 from tests.support.running.shares import each_of
 from tests.support.under_test import DEVICE
 
+pytestmark = pytest.mark.usefixtures("general_kernels_of_module")
 ESTIMATOR = RenderSettings(sample_count=3, bounce_max=5, roulette_bounce=2)
 CHECKED = dict(batching="ON", debug_checks="ON")
 STORAGES = ("INDIRECT", "DIRECT")
@@ -119,13 +120,16 @@ def fine(session):
 
 @pytest.mark.parametrize(
     "more",
-    [
-        dict(),
-        dict(queue_count=64, queue_size=1),
-        dict(bucket_selection="NEXT", ray_count=300),
-        dict(bucket_selection="ALL"),
-        dict(bucket_wait_max=3),
-    ],
+    each_of(
+        3,
+        [
+            dict(queue_count=64, queue_size=1),
+            dict(),
+            dict(bucket_selection="ALL"),
+            dict(bucket_selection="NEXT", ray_count=300),
+            dict(bucket_wait_max=3),
+        ],
+    ),
     ids=str,
 )
 def test_ten_thousand_buckets(fine, more):

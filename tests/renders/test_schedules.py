@@ -13,20 +13,14 @@ from raybatch_addon.core.scene.archive import save_scene
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import SETTINGS
 from tests.support import schedule_scenes
-from tests.support.running.general_kernels import by_general_kernels
 from tests.support.schedule_scenes import ESTIMATOR
 from tests.support.under_test import DEVICE
 
+# For the plain film, and where `kernel_tier` is AUTO; tracers are as ever
+pytestmark = pytest.mark.usefixtures("general_kernels_of_module")
 SIZES = DrawnSizes(triangles=5000, tree_bytes=400_000, paths=3000, image_bytes=200_000)
 EXAMPLES = 60  # of each scene, in a thorough run
 TURNS = 16
-
-
-@pytest.fixture(scope="module", autouse=True)
-def kernels_that_are_there():
-    """General ones for the plain film, and where `kernel_tier` is AUTO; tracers are as ever."""
-    with by_general_kernels():
-        yield
 
 
 @pytest.fixture(scope="module")
@@ -50,10 +44,20 @@ def test_the_plain_film_shows_something(comparers, name):
     assert comparers[name].plain.statistics["rays"]["shadow"] > 100
 
 
+# What a plain run does not draw, since other kernels would be compiled for it, which take most of its time: those of
+# both tiers it leaves to `test_tiers.py`, and others of tracers to other scenes
+FIXED = {
+    "open": {"kernel_tier": "AUTO", "counters": "OFF", "single_lane": "ON", "warp_count": 1},
+    "closed": {"kernel_tier": "AUTO", "counters": "ON", "single_lane": "OFF"},
+    "mixed": {"kernel_tier": "AUTO", "counters": "ON", "single_lane": "OFF"},
+    "living": {"kernel_tier": "AUTO", "counters": "OFF", "single_lane": "OFF"},
+}
+
+
 @pytest.fixture
-def fixed(pytestconfig) -> dict[str, str]:
-    """What is not drawn: a plain run leaves specialised kernels, which take most of its time, to `test_tiers.py`."""
-    return {} if pytestconfig.option.thorough or DEVICE != "cpu" else {"kernel_tier": "AUTO"}
+def fixed(pytestconfig) -> dict[str, dict]:
+    """By scene: what is not drawn."""
+    return {name: {} if pytestconfig.option.thorough or DEVICE != "cpu" else FIXED[name] for name in FIXED}
 
 
 @pytest.mark.parametrize("name", schedule_scenes.SCENES)
@@ -72,28 +76,26 @@ def test_any_schedule_gives_the_same_film(comparers, name, examples, fixed):
     numbers = random.Random(name)  # of schedules that have nothing in common
     while not is_enough() and methods.total() < 2 * count:  # a method that chance left out is drawn in the end
         number = numbers.getrandbits(32)
-        found = comparer.compare_drawn(SeededDraws(number), fixed)
+        found = comparer.compare_drawn(SeededDraws(number), fixed[name])
         methods[found.method] += 1
         if found.differs:
             pytest.fail(
                 f"schedule {number}: {found.differs}, region {found.region}, {comparer.simplest(found)} of "
-                f"{found.settings}; not drawn: {fixed}"
+                f"{found.settings}; not drawn: {fixed[name]}"
             )
     assert is_enough(), methods
 
 
 def test_the_settings_that_make_a_film_wrong_are_found(comparers, monkeypatch):
     comparer = comparers["open"]
-    faults = comparer.faults
+    faults, wrong = comparer.faults, {"batching": "ON", "ray_storage": "DIRECT", "queue_size": 7}
 
     def faulty(film):
         drawn = film.statistics["settings"]
         return faults(film) + ["wrong"] * (drawn["ray_storage"] == "DIRECT" and drawn["queue_size"] == 7)
 
     monkeypatch.setattr(comparer, "faults", faulty)
-    found = comparer.compare(
-        {**drawn_schedule(SeededDraws(8), comparer.sizes), "batching": "ON", "ray_storage": "DIRECT", "queue_size": 7}
-    )
+    found = comparer.compare({**drawn_schedule(SeededDraws(8), comparer.sizes), **FIXED["open"], **wrong})
     assert found.differs == ["wrong"] and comparer.simplest(found) == {"ray_storage": "DIRECT", "queue_size": 7}
 
 
@@ -166,7 +168,22 @@ def run(capfd, *arguments):
 @pytest.mark.usefixtures("cpu_compiler")
 def test_the_script_finds_nothing_where_all_is_well(saved, device, capfd):
     code, report, reported = run(
-        capfd, "--scene", saved, saved, "--device", device, "--count", 4, "--size", 12, "--samples", 1, "--seed", 5
+        capfd,
+        "--scene",
+        saved,
+        saved,
+        "--device",
+        device,
+        "--count",
+        4,
+        "--size",
+        12,
+        "--samples",
+        1,
+        "--seed",
+        5,
+        "--set",
+        "kernel_tier=AUTO",
     )
     assert code == 0 and report["faults"] == 0 and report["compared"] == 8 and report["seed"] == 5
     assert [scene["frame"] for scene in report["scenes"]] == [[12, 9]] * 2

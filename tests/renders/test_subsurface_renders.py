@@ -10,7 +10,10 @@ from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.stages.limits import half_seed
 from tests.support import scenes
 from tests.support.feature_scenes import MEDIUM
+from tests.support.running.shares import each_of
 from tests.support.watched_renders import stopping
+
+pytestmark = pytest.mark.usefixtures("general_kernels_of_module")
 
 WHITE = (1.0, 1.0, 1.0)
 WAX = Material(
@@ -55,13 +58,16 @@ def plain(session):
 
 @pytest.mark.parametrize(
     "change",
-    [
-        {"batching": "ON", "treelet_size": 16},
-        {"batching": "ON", "ray_count": 100, "queue_size": 8},
-        {"tile_size": 8, "thread_count": 2},
-        {"batching": "ON", "treelet_size": 16, "geometry_budget": 20_000, "geometry_store": "HOST"},
-        {"ray_sort": "ON", "sample_order": "FRAME_FIRST"},
-    ],
+    each_of(
+        3,
+        [
+            {"batching": "ON", "ray_count": 100, "queue_size": 8},
+            {"batching": "ON", "treelet_size": 16},
+            {"ray_sort": "ON", "sample_order": "FRAME_FIRST"},
+            {"batching": "ON", "treelet_size": 16, "geometry_budget": 20_000, "geometry_store": "HOST"},
+            {"tile_size": 8, "thread_count": 2},
+        ],
+    ),
 )
 def test_any_schedule_gives_the_same_film(session, plain, change):
     np.testing.assert_array_equal(film(session, wax(), **change), plain)
@@ -70,7 +76,7 @@ def test_any_schedule_gives_the_same_film(session, plain, change):
 @pytest.mark.parametrize(
     "change", [{"batching": "OFF"}, {"batching": "ON", "treelet_size": 16, "sample_order": "PIXEL_FIRST"}]
 )
-@pytest.mark.parametrize("after", [3, 40])
+@pytest.mark.parametrize("after", each_of(2, [40, 3]))
 def test_walks_take_part_in_resuming(session, plain, after, change):
     settings = SETTINGS.replace(tile_size=9, ray_count=60, thread_count=1, **change)
     with stopping(after):

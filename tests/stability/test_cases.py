@@ -8,13 +8,13 @@ from tests.stability.bench import Bench
 from tests.stability.case import CASES, Case, Outcome, Skipped, Sweep, case
 from tests.stability.cases import UnknownCase, all_cases, chosen_cases, run_case
 
-# Each second one by one tracer in turn; all by all in a thorough run, and by scripts/stability.py
+# Each third one by one tracer in turn; all by all in a thorough run, and by scripts/stability.py
 QUICK = [
     pytest.param(
         each,
         tracer,
         id=f"{each.name} {tracer}",
-        marks=() if number % 2 == 0 and (number // 2 + i) % len(each.tracers) == 0 else pytest.mark.thorough,
+        marks=() if number % 3 == 0 and (number // 3 + i) % len(each.tracers) == 0 else pytest.mark.thorough,
     )
     for number, each in enumerate(chosen_cases(quick=True))
     for i, tracer in enumerate(each.tracers)

@@ -17,7 +17,7 @@ from parity_report.sheets import CELL, read_sheet, write_sheets
 from parity_report.workers import groups_of, read_results, write_results
 
 from tests.blender.features.compare import Picture, figures_of
-from tests.blender.features.known import KNOWN
+from tests.blender.features.known import KNOWN, THOROUGH
 from tests.blender.features.registry import FAMILIES, all_features, chosen_features
 from tests.blender.features.runner import DIFFERENT, OK, UNSUPPORTED, Result, _reasons, sheets
 
@@ -25,7 +25,7 @@ ROOT = Path(__file__).resolve().parents[3]
 
 
 def test_what_is_known_to_fail_is_quick():
-    assert set(KNOWN) <= {each.name for each in chosen_features(quick=True)}
+    assert {*KNOWN, *THOROUGH} <= {each.name for each in chosen_features(quick=True)}
 
 
 def test_every_family_has_features_and_names_lead_to_them():

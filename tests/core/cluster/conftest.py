@@ -8,6 +8,7 @@ from raybatch_addon.core.cluster.connection import Connection
 from raybatch_addon.core.cluster.ranges import RangeDeal
 from tests.core.cluster.clusters import SETTINGS, cut_into, dealing, two_workers, wait_for
 from tests.support import scenes
+from tests.support.running.shares import thorough_but
 from tests.support.watched_renders import FRAME
 
 
@@ -39,7 +40,7 @@ def bands(monkeypatch):
     return cut_into(3, monkeypatch)
 
 
-@pytest.fixture(params=[1, 3])
+@pytest.fixture(params=thorough_but([3], [1, 3]))  # tests without it have whole frames
 def cut(request, monkeypatch):
     """The number of bands into which frames are cut."""
     return cut_into(request.param, monkeypatch)

@@ -171,11 +171,15 @@ def test_a_session_that_is_closed_compiles_no_longer(shared_folder, monkeypatch)
 ENDS = """
 import sys, threading, time
 sys.path.insert(0, sys.argv[2])
+import warp as wp
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.device import compiler
+from raybatch_addon.core.device.devices import load_kernels
+from tests.core.device.small_kernels import small_kernel
 session = Session("cpu", cache_folder=sys.argv[1])
 from concurrent.futures import ThreadPoolExecutor
-ThreadPoolExecutor(1).submit(session.prewarm)
+kernels = [small_kernel() for _ in range(30)]
+ThreadPoolExecutor(1).submit(load_kernels, kernels, wp.get_device("cpu"), lambda done, total: None)
 while not compiler._running:
     time.sleep(0.01)
 """

@@ -24,6 +24,8 @@ from tests.renders.beyond_memory.least_budget import CHECKED, DISK, ESTIMATOR, r
 from tests.support import schedule_scenes
 from tests.support.running.shares import each_of
 
+pytestmark = pytest.mark.usefixtures("general_kernels_of_module")
+
 
 @pytest.mark.parametrize("store", each_of(2, ["HOST", "DISK"]))
 @pytest.mark.parametrize("name", schedule_scenes.SCENES)
@@ -89,7 +91,7 @@ def test_a_budget_smaller_than_what_must_stay_is_refused_and_the_message_says_wh
     assert not plain["mixed"].faults(render(session, geometry_store=store))
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", each_of(2, range(6)))
 def test_the_number_in_the_message_renders_and_one_less_does_not(session, plain, seed):
     """For scenes, stores, treelets and budgets at random."""
     rng = np.random.default_rng(seed)

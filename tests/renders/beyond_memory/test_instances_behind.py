@@ -12,6 +12,8 @@ from raybatch_addon.core.scene.description import Scene
 from tests.renders.beyond_memory.least_budget import CHECKED, ESTIMATOR
 from tests.support import scenes
 
+pytestmark = pytest.mark.usefixtures("general_kernels_of_module")
+
 COUNT = 1500
 
 

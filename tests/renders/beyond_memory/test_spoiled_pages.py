@@ -15,6 +15,8 @@ from raybatch_addon.core.session import Session
 from tests.renders.beyond_memory.least_budget import render, the_file
 from tests.support import schedule_scenes
 
+pytestmark = pytest.mark.usefixtures("general_kernels_of_module")
+
 # --- files that are no good
 
 

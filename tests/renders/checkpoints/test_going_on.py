@@ -16,6 +16,8 @@ from raybatch_addon.core.wavefront.render import rendering
 from tests.support import scenes, schedule_scenes
 from tests.support.watched_renders import FRAME, HALVES, SETTINGS, TARGET, assert_same, rounded_anew
 
+pytestmark = pytest.mark.usefixtures("general_kernels_of_module")
+
 ADAPTIVE = SETTINGS.replace(sample_count=40, adaptive_sampling="ON", noise_threshold=0.1, adaptive_samples_min=8)
 SCHEDULES = (
     dict(tile_size=7, ray_count=60, thread_count=1),

@@ -11,6 +11,8 @@ from tests.support import schedule_scenes
 from tests.support.command_line import run_script
 from tests.support.under_test import DEVICE
 
+pytestmark = pytest.mark.usefixtures("general_kernels_of_module")
+
 KILLS = 10
 
 

@@ -10,6 +10,8 @@ from raybatch_addon.core.checkpoint.merging import merged_films, range_of, save_
 from tests.support import schedule_scenes
 from tests.support.watched_renders import assert_same
 
+pytestmark = pytest.mark.usefixtures("general_kernels_of_module")
+
 
 @pytest.fixture(scope="module")
 def scene():

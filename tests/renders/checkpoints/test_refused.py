@@ -18,6 +18,8 @@ from raybatch_addon.core.wavefront.render import rendering
 from tests.support import scenes
 from tests.support.watched_renders import FRAME, SETTINGS, TARGET, assert_same
 
+pytestmark = pytest.mark.usefixtures("general_kernels_of_module")
+
 MATTES = dataclasses.replace(FRAME, passes=(*FRAME.passes, "CryptoObject00"))
 
 

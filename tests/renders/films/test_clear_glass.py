@@ -8,6 +8,8 @@ from raybatch_addon.core.settings.settings import RenderSettings
 from tests.renders.volumes.test_volumes import filled, medium
 from tests.support import scenes
 
+pytestmark = pytest.mark.usefixtures("general_kernels_of_module")
+
 THRESHOLD = 0.1
 CLEAR = ClosureKind.REFRACTION
 WHITE = (1.0, 1.0, 1.0)

@@ -11,6 +11,7 @@ from raybatch_addon.core.scene.description import Closure, ClosureKind, Frame
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
 from tests.stability.transport.fresnel import reflectance
+from tests.support.running.shares import thorough_but
 from tests.support.scenes import IDENTITY, camera, material, plane, scene, translation
 
 pytestmark = pytest.mark.usefixtures("general_kernels")
@@ -35,9 +36,9 @@ def floor_under_glass():
     return scene(objects, view=view, frame=Frame(16, 16), world=WORLD)
 
 
-def mean(session, **settings):
+def mean(session, sample_count, **settings):
     """Mean of the picture, and its error."""
-    chosen = RenderSettings(sample_count=256, bounce_max=64, **settings)
+    chosen = RenderSettings(sample_count=sample_count, bounce_max=64, **settings)
     picture = session.render(floor_under_glass(), chosen).passes["Combined"][..., 0].astype(np.float64)
     return picture.mean(), picture.std() / np.sqrt(picture.size)
 
@@ -49,22 +50,22 @@ def reflected_share() -> float:
     return float(np.sum(weights / 2 * 2 * cosine * reflectance(cosine, 1 / IOR)))
 
 
-@pytest.mark.parametrize("nee", ["OFF", "ON"])
-def test_without_refractive_caustics_glass_reflects(session, nee):
-    found, error = mean(session, caustics_refractive="OFF", nee=nee)
+@pytest.mark.parametrize("nee", thorough_but(["ON"], ["OFF", "ON"]))
+def test_without_refractive_caustics_glass_reflects(session, nee, examples):
+    found, error = mean(session, examples(256), caustics_refractive="OFF", nee=nee)
     assert abs(found - 1 / (1 - GREY * reflected_share())) < 5 * error + 1e-3
 
 
-@pytest.mark.parametrize("nee", ["OFF", "ON"])
-def test_without_reflective_caustics_glass_refracts(session, nee):
-    found, error = mean(session, caustics_reflective="OFF", nee=nee)
+@pytest.mark.parametrize("nee", thorough_but(["OFF"], ["OFF", "ON"]))
+def test_without_reflective_caustics_glass_refracts(session, nee, examples):
+    found, error = mean(session, examples(256), caustics_reflective="OFF", nee=nee)
     assert abs(found - (1 + GREY * (1 - reflected_share()) * WORLD)) < 5 * error + 1e-3
 
 
-def test_with_both_and_with_neither(session):
+def test_with_both_and_with_neither(session, examples):
     share = reflected_share()
     both = (1 + GREY * (1 - share) * WORLD) / (1 - GREY * share)
-    found, error = mean(session)
+    found, error = mean(session, examples(256))
     assert abs(found - both) < 5 * error + 1e-3
-    found, error = mean(session, caustics_reflective="OFF", caustics_refractive="OFF")
+    found, error = mean(session, examples(256), caustics_reflective="OFF", caustics_refractive="OFF")
     assert abs(found - 1.0) < 5 * error + 1e-6

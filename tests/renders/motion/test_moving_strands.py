@@ -22,6 +22,8 @@ from raybatch_addon.core.wavefront.tracers.unbatched import trace_stage
 from tests.core.bvh.traverse.test_segments import hair, rays_around
 from tests.support import scenes
 
+pytestmark = pytest.mark.usefixtures("general_kernels_of_module")
+
 RAYS = 4000
 
 

@@ -18,6 +18,8 @@ from raybatch_addon.core.wavefront.rays import RayNeeds, allocate_rays
 from raybatch_addon.core.wavefront.tracers.unbatched import trace_stage
 from tests.renders.motion.test_motion import moving_scene
 
+pytestmark = pytest.mark.usefixtures("general_kernels_of_module")
+
 RAYS = 3000
 
 

@@ -77,7 +77,7 @@ def picture(session, scene, **change) -> np.ndarray:
 
 @pytest.mark.parametrize("kind", [LightKind.RECTANGLE, LightKind.ELLIPSE])
 @pytest.mark.parametrize("world", [even, varying])
-def test_portals_change_the_noise_and_not_the_light(session, world, kind):
+def test_portals_change_the_noise_and_not_the_light(session, world, kind, examples):
     """The circle around the hole covers more than that, the square is the hole itself."""
     size = HOLE if kind == LightKind.RECTANGLE else HOLE * 2**0.5
     # one that faces away, and one elsewhere that no light comes through
@@ -87,7 +87,10 @@ def test_portals_change_the_noise_and_not_the_light(session, world, kind):
     )
     found = {}
     for name, portals in (("without", ()), ("with", (portal(size=size, kind=kind), *others))):
-        runs = [picture(session, room(world(), *portals), seed=seed, sample_count=512) for seed in range(8)]
+        runs = [
+            picture(session, room(world(), *portals), seed=seed, sample_count=max(examples(512), 320))
+            for seed in range(8)
+        ]
         spread = np.var(runs, axis=0, ddof=1)
         found[name] = np.mean(runs), spread.mean(), np.sqrt(spread.sum() / len(runs)) / runs[0].size
     error = np.hypot(found["without"][2], found["with"][2])
@@ -105,7 +108,7 @@ def test_without_multiple_importance_sampling_the_light_is_the_same(session, set
     )
 
 
-def test_portals_light_volumes_too(session):
+def test_portals_light_volumes_too(session, examples):
     """What a volume scatters finds the world through portals, with the weights of surfaces."""
     glass = Closure(ClosureKind.TRANSPARENT, (1.0, 1.0, 1.0))
     smoke = Volume((Closure(ClosureKind.HENYEY_GREENSTEIN, (0.8, 0.8, 0.8)),))
@@ -113,7 +116,7 @@ def test_portals_light_volumes_too(session):
     means, errors = [], []
     for portals in ((), (portal(),)):
         scene = room(even(), *portals, inside=[cloud])
-        runs = [picture(session, scene, seed=seed, sample_count=512) for seed in range(6)]
+        runs = [picture(session, scene, seed=seed, sample_count=max(examples(512), 320)) for seed in range(6)]
         means.append(np.mean(runs))
         errors.append(np.sqrt(np.var(runs, axis=0, ddof=1).sum() / len(runs)) / runs[0].size)
     assert abs(means[1] - means[0]) < 4 * np.hypot(*errors)

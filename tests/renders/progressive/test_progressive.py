@@ -22,6 +22,8 @@ from tests.support.watched_renders import (  # noqa: F401 (`halves_film` is the 
     stopping,
 )
 
+pytestmark = pytest.mark.usefixtures("general_kernels_of_module")
+
 PROGRESSIVE = dict(tile_order="PROGRESSIVE", tile_size=12)
 WAYS = {
     "one worker": dict(thread_count=1),

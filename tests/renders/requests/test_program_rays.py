@@ -13,6 +13,8 @@ from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support import scenes
 from tests.support.watched_renders import stopping
 
+pytestmark = pytest.mark.usefixtures("general_kernels_of_module")
+
 SETTINGS = RenderSettings(sample_count=4, bounce_max=0, nee="OFF")
 
 

@@ -17,6 +17,7 @@ from tests.support.images.textured_scenes import COLORS, room, sky
 from tests.support.running.shares import each_of
 from tests.support.watched_renders import stopping
 
+pytestmark = pytest.mark.usefixtures("general_kernels_of_module")
 WHOLE = RenderSettings(sample_count=4, bounce_max=3, seed=3, thread_count=1)
 TILED = WHOLE.replace(texture_tile_size=16, texture_budget=150_000)
 FILTERED = dict(texture_filter="FOOTPRINT", texture_filter_width=1.0)
@@ -85,7 +86,7 @@ def test_the_least_pool_is_named_and_is_enough(session, whole):
 @pytest.mark.parametrize("extension", list(Extension))
 @pytest.mark.parametrize("interpolation", list(Interpolation))
 def test_all_look_ups_are_those_of_images_in_memory(session, interpolation, extension):
-    scene, one = room(interpolation, extension), dict(sample_count=1, bounce_max=1)
+    scene, one = room(interpolation, extension), dict(sample_count=1)
     assert same(session.render(scene, TILED.replace(**one)), session.render(scene, WHOLE.replace(**one)))
 
 

@@ -41,14 +41,15 @@ def test_the_albedo_of_a_half_space(session, cosine):
     assert_mean(session, scene, expected, **LONG)
 
 
-def test_a_half_space_in_the_sun(session):
+def test_a_half_space_in_the_sun(session, examples):
     """The sun stands above, and what comes back at a slant is a product of two values of H."""
     cosine, sun = 0.6, 2.0
     lit = slab(DEEP, cosine)
     scene = dataclasses.replace(lit, lights=(scenes.sun(sun), lit.lights[1]), world=scenes.scene().world)
     slant = np.array([np.prod(h_function(each, np.array([cosine, 1.0]))) for each in ALBEDOS])
     # of few runs the error is not known well enough: that of the least albedo is 6e-4 of the mean in six
-    assert_mean(session, scene, sun * ALBEDOS / (4 * np.pi) / (cosine + 1) * slant, runs=24, **LONG)
+    samples = LONG | dict(sample_count=examples(64))
+    assert_mean(session, scene, sun * ALBEDOS / (4 * np.pi) / (cosine + 1) * slant, runs=24, **samples)
 
 
 @pytest.mark.parametrize("make", [medium, varying], ids=["fixed", "program"])

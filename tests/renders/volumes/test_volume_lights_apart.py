@@ -91,11 +91,11 @@ def sheets(emission: float, period: float, share: float) -> Volume:
     return Volume(program=builder.finish())
 
 
-def test_light_that_bounds_have_missed_is_missed_by_shadow_rays_too(session):
+def test_light_that_bounds_have_missed_is_missed_by_shadow_rays_too(session, examples):
     """About half of the bounds of thin layers are 0, where rays do not look."""
     scene = over_floor(sheets(1000.0, EDGE / 32, 0.003), edge=EDGE, place=np.array([0.0, 0.0, 0.6]))
     # a GPU's bounds leave fewer layers to be found, by rarer and brighter samples
-    sample_count = 16384 if wp.get_device(DEVICE).is_cuda else 2048
+    sample_count = 16384 if wp.get_device(DEVICE).is_cuda else examples(2048)
     assert_rays_find_the_same(session, scene, mis="OFF", sample_count=sample_count)
 
 
@@ -118,13 +118,13 @@ def test_a_picture_does_not_change_with_the_size_of_all_there_is(session, size):
 
 
 @pytest.mark.parametrize("lacking", [Visibility.SHADOW, Visibility.DIFFUSE])
-def test_what_others_are_seen_by_does_not_concern_a_volume(session, lacking):
+def test_what_others_are_seen_by_does_not_concern_a_volume(session, lacking, examples):
     """Beside one that shadow rays or scattered rays do not see, a volume is aimed at."""
     scene = placed(over_floor(medium(emission=10.0), medium(emission=0.1)), (3.0, 0.0, 3.0))
     scene = seen_by(scene, ALL & ~int(lacking))
     with_nee, alone = (picture(session, scene, **ONCE, nee=nee).var() for nee in ("ON", "OFF"))
     assert with_nee < alone / 10, (with_nee, alone)
-    assert_rays_find_the_same(session, scene, sample_count=1024)
+    assert_rays_find_the_same(session, scene, sample_count=examples(1024))
 
 
 BROKEN = {

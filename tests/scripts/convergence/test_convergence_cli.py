@@ -20,6 +20,8 @@ from tests.support import scenes
 from tests.support.command_line import HIDE_BPY, run_script
 from tests.support.convergence_runs import FRAME, SMALL, measured, picture_alone
 
+pytestmark = pytest.mark.usefixtures("general_kernels_of_module")
+
 
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory):

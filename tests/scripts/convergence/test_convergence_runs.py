@@ -18,6 +18,8 @@ from tests.support import scenes
 from tests.support.command_line import HIDE_BPY, error_line, run_script
 from tests.support.convergence_runs import FRAME, SMALL, measured
 
+pytestmark = pytest.mark.usefixtures("general_kernels_of_module")
+
 
 def test_references_are_kept_and_made_anew_when_they_must_be(lit, kept, capfd, tmp_path):
     options = (lit, *SMALL, "--no-flip", "--samples", "4", "--reference-samples", "64")

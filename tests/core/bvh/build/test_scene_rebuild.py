@@ -25,6 +25,8 @@ from tests.core.bvh.build.refit_scenes import (
 from tests.support import scenes, wide_trees
 from tests.support.under_test import DEVICE
 
+pytestmark = pytest.mark.usefixtures("general_kernels_of_module")
+
 
 def with_object(scene, index, **changes):
     instances = {name: getattr(scene.instances, name).copy() for name in changes}

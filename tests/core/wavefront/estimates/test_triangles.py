@@ -15,6 +15,8 @@ from raybatch_addon.core.wavefront.estimates import launch as estimates
 from raybatch_addon.core.wavefront.scene import device_scene
 from tests.support import scenes
 
+pytestmark = pytest.mark.usefixtures("general_kernels_of_module")
+
 
 def glowing():
     """A ball that glows with its own coordinates, so that each of its triangles has its own brightness."""

@@ -15,6 +15,8 @@ from raybatch_addon.core.wavefront.scene import shown_instances
 from tests.support import scenes
 from tests.support.under_test import DEVICE
 
+pytestmark = pytest.mark.usefixtures("general_kernels_of_module")
+
 SETTINGS = RenderSettings(device=DEVICE, sample_count=2, bounce_max=3)
 # Instances of the scene: two boxes that are placed once and lie in world space, and two of one mesh
 FIRST, SECOND, SHARED, SHARED_TOO = range(4)

@@ -100,6 +100,9 @@ def unbatched_hits(name: str, layout: Layout, path_count: int, shadow_kind: RayK
 
 
 LAYOUTS = (Layout.QUANTISED, Layout.BOXES) if DEVICE == "cpu" else (Layout.QUANTISED,)
+STORAGES = ("INDIRECT", "DIRECT")
+# the first and the last have each layout and each storage once
+PAIRS = [(layout, storage) for layout in LAYOUTS for storage in STORAGES]
 
 
 def compare(name, layout, shadow_kind, parallel, counters=False, capacity=0, shared=True, rays_few=0, **settings):
@@ -150,9 +153,8 @@ def compare(name, layout, shadow_kind, parallel, counters=False, capacity=0, sha
 
 
 @pytest.mark.parametrize("parallel", PARALLEL)
-@pytest.mark.parametrize("storage", ["INDIRECT", "DIRECT"])
+@pytest.mark.parametrize("layout, storage", each_of(3, PAIRS))
 @pytest.mark.parametrize("selection", SELECTIONS)
-@pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("name", ["soup", "instances"])
 def test_hits_are_those_of_the_unbatched_tracer(name, layout, selection, storage, parallel):
     shadow_kind = RayKind.OCCLUSION if selection in ("MOST_FULL", "ALL") else RayKind.TRANSPARENT_SHADOW
@@ -174,8 +176,7 @@ def test_segments_and_things_that_move(name, layout, storage, shadow_kind):
         assert len(np.unique(hits[1])) > 7
 
 
-@pytest.mark.parametrize("storage", ["INDIRECT", "DIRECT"])
-@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize("layout, storage", each_of(3, PAIRS))
 @pytest.mark.parametrize(
     "settings",
     [

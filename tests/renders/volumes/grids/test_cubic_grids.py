@@ -12,6 +12,8 @@ from raybatch_addon.core.settings.settings import RenderSettings
 from tests.renders.volumes.test_volumes import color
 from tests.stability.volume_scenes import boxed
 
+pytestmark = pytest.mark.usefixtures("general_kernels_of_module")
+
 COUNT = 8  # voxels along an edge of the cube of 2 m
 SHIFT = 3.2  # of the grid beside the cube's, so that the ray goes between voxels [voxels]
 
