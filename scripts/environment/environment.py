@@ -1,15 +1,17 @@
-"""Make the project's virtual environment: python scripts/environment/environment.py FOLDER [wait|later|start].
+"""Make the project's virtual environment: python scripts/environment/environment.py FOLDER [wait|all|later|start].
 
 Run by the Python that the environment is for (`environment.sh` finds it). A stamp in the folder holds what was
 installed; while it matches, nothing is installed again. Another stamp stands for the kernels that any scene can begin
 with, and holds the code that they are of; a process of its own compiles them and writes it when they are there. Where
 it is missing, they are compiled in the background after a minute (`wait`), or from the start (`start`), as where it
-is of other code; `later` leaves them to a later call.
+is of other code; a new environment waits for all of them (`all`): tests that run beside it would compile many of them
+too. `later` leaves them to a later call.
 """
 
 import contextlib
 import hashlib
 import json
+import math
 import os
 import re
 import shutil
@@ -32,7 +34,7 @@ MODULES_A_LINE = 10
 WAIT_SECONDS = 60.0  # for kernels, before they are left to the background: those of usual scenes are there by then
 TICK_SECONDS = 0.1
 NICENESS = 10  # renders, tests and checks come first
-KERNELS = ("wait", "later", "start")  # the first where nothing is said
+KERNELS = ("wait", "all", "later", "start")  # the first where nothing is said
 GROUPS = ("scripts", "cluster", "blender", "test")
 CORE = "raybatch_addon/core"  # whose code kernels are made of
 SOURCES = (".py", ".h")
@@ -81,7 +83,7 @@ def main() -> int:
             return code
         installed.write_text(expected + "\n", encoding="ascii")
     if kernels != "later":
-        job.finish(WAIT_SECONDS if kernels == "wait" else 0.0)
+        job.finish({"wait": WAIT_SECONDS, "all": math.inf}.get(kernels, 0.0))
     return 0
 
 

@@ -4,6 +4,7 @@ import json
 import os
 import re
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -188,6 +189,14 @@ def test_the_stamp_comes_with_the_end_of_the_background(made, monkeypatch):
     assert wait_for(made.compilers) and not made.stamp.exists()
     made.let_go()
     assert wait_for(made.stamp.exists)
+
+
+def test_where_tests_follow_all_kernels_are_waited_for(made, monkeypatch):
+    monkeypatch.setattr(environment, "WAIT_SECONDS", 0.0)
+    later = threading.Timer(0.3, made.let_go)
+    later.start()
+    assert made.make("all") == 0 and made.stamp.is_file()
+    later.join()
 
 
 @pytest.mark.skipif(environment.fcntl is None, reason="on Windows both compile")
