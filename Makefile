@@ -12,14 +12,14 @@
 #
 # PYTHON=...    the Python to use (3.13 or 3.11); the newest usable one is found otherwise
 # VENV=...      the folder of the environment (default .venv)
-# TEST_JOBS=... processes that run tests side by side (default: as many as there are cores, 4 at most)
+# TEST_JOBS=... processes that run tests side by side (default: one more than there are cores, 4 at most; some wait)
 # TESTS=...     what to run instead of every test, as pytest takes it
 # PART=I/N      of make test-gpu: which share
 # BLENDER=...   of make repository: Blender's program (default blender)
 PYTHON ?=
 VENV ?= .venv
 TESTS ?=
-TEST_JOBS ?= auto
+TEST_JOBS ?= $(shell expr $$(getconf _NPROCESSORS_ONLN 2>/dev/null || echo 2) + 1)
 PART ?= 1/1
 BLENDER ?=
 COMPILE_AHEAD ?= wait

@@ -4,8 +4,8 @@ Run by the Python that the environment is for (`environment.sh` finds it). A sta
 installed; while it matches, nothing is installed again. Another stamp stands for the kernels that any scene can begin
 with, and holds the code that they are of; a process of its own compiles them and writes it when they are there. Where
 it is missing, they are compiled in the background after a minute (`wait`), or from the start (`start`), as where it
-is of other code; a new environment waits for all of them (`all`): tests that run beside it would compile many of them
-too. `later` leaves them to a later call.
+is of other code. With `all` a new environment waits until all are there: tests that ran beside it would compile many
+of them too. `later` leaves them to a later call.
 """
 
 import contextlib
@@ -115,7 +115,8 @@ class KernelJob:
     def finish(self, seconds: float) -> None:
         """See that kernels are there, or being compiled, and wait for so many `seconds` in a new environment.
 
-        After a change of the code nobody waits: whoever works on it calls this before each check and render.
+        After a change of the code nobody waits: whoever works on it calls this before each check and render, and tests
+        compile beside it what they need.
         """
         if self._process is None:
             if is_stamped(self._stamp, self._expected):
@@ -125,11 +126,17 @@ class KernelJob:
             self.begin()
         if self._process:
             watch(self._process, self._log, seconds)
-        else:
-            print(
-                f"RayBatch: kernels are being compiled already, by a process that writes to {self._log}",
-                file=sys.stderr,
-            )
+            return
+        print(
+            f"RayBatch: kernels are being compiled already, by a process that writes to {self._log}",
+            file=sys.stderr,
+            flush=True,
+        )
+        while seconds == math.inf and not is_stamped(self._stamp, self._expected):
+            with held(self._lock) as lock:
+                if lock is not None:  # it has ended, and failed: tests compile what they need
+                    return
+            time.sleep(TICK_SECONDS)
 
 
 def prewarming() -> list[str]:

@@ -33,8 +33,9 @@ class CommandParser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print `message`, and exit with 2."""
-        unknown = message.partition("unrecognized arguments: ")[2].split(" ")[0].partition("=")[0]
-        if unknown.startswith("--"):
+        words = message.partition("unrecognized arguments: ")[2].split(" ")
+        unknown = next((each.partition("=")[0] for each in words if each.startswith("--")), "")
+        if unknown:
             options = [each for action in self._actions for each in action.option_strings]
             close = [f"--set {each}=VALUE" for each in close_names(unknown.lstrip("-"), self._settings)]
             close = difflib.get_close_matches(unknown, options, n=1, cutoff=0.8) or close

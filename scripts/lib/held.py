@@ -16,7 +16,9 @@ class HeldSignals:
         self._asked = False
         self._before: dict[int, Any] = {}
         if threading.current_thread() is threading.main_thread():
-            self._before = {each: signal.signal(each, self._note) for each in _SIGNALS}
+            for each in _SIGNALS:
+                if signal.getsignal(each) not in (signal.SIG_IGN, None):  # else nobody asks for an end by it
+                    self._before[each] = signal.signal(each, self._note)
 
     def release(self) -> None:
         """Signals are as before; raises `KeyboardInterrupt` if one came."""

@@ -148,15 +148,23 @@ class BlenderRender:
             self._folders.prepare(path)
         if not request.out:
             set_format(scene, FORMATS[".bmp"])  # of pictures that nobody keeps
-        with FrameDeliveries(request, files, self._bar, self._films, self._stops.asked) as deliveries:
+        deliveries = FrameDeliveries(request, files, self._bar, self._films, self._stops.asked)
+        try:
+            self._deliver(scene, frames, deliveries)
+        except KeyboardInterrupt:
+            if many:
+                print_notes([deliveries.how_far])  # all of it is written now
+            raise
+
+    def _deliver(self, scene: bpy.types.Scene, frames: tuple[int, ...], deliveries: FrameDeliveries) -> None:
+        request = self._request
+        with deliveries:
             self._is_failed = lambda: deliveries.failure is not None
             scene.render.filepath = deliveries.output
             try:
                 self._render_frames(scene, frames)
             except KeyboardInterrupt:
                 if deliveries.failure is None and not deliveries.are_complete:
-                    if many:
-                        print_notes([deliveries.how_far])
                     raise
             if deliveries.failure is not None:
                 raise deliveries.failure
@@ -313,7 +321,8 @@ def _names_to_know(out: str | None) -> list[str]:
         return [f"{out} is a folder, and pictures get its name with a number behind; write {out}/ to have them in it"]
     extension = os.path.splitext(out)[1]
     if extension and "#" not in extension:
-        return [f"{extension} is no picture's extension: {out} is taken as Blender does, with a number and one behind"]
+        why = f"{extension} is no picture's extension"
+        return [f"{why}: {out} is a name as Blender has it, with a number and an extension behind"]
     return []
 
 

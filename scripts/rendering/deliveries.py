@@ -113,10 +113,9 @@ class FrameDeliveries:
     def how_far(self) -> str:
         """Of a sequence that was stopped: which frames are there, and how to get the others."""
         numbers = list(self._by_number)
-        rest = f"--frames {numbers[self._delivered]}..{numbers[-1]}"
-        if not self._delivered:
-            return f"stopped in frame {numbers[0]}, the first: none is written"
-        return f"stopped in frame {numbers[self._delivered]}: those before it are written, and {rest} goes on"
+        done = "those before it are written" if self._delivered else "none is written"
+        at = numbers[self._delivered]
+        return f"stopped in frame {at}: {done}, and --frames {at}..{numbers[-1]} goes on"
 
     def _begin(self, scene: bpy.types.Scene, *_: object) -> None:
         """Blender begins a frame."""

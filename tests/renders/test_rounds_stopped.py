@@ -54,7 +54,7 @@ def targeted(session):
     return session.render(scenes.mixed(FRAME), TARGET)
 
 
-@pytest.mark.parametrize("sample_order", ["FRAME_FIRST", "PIXEL_FIRST"])
+@pytest.mark.parametrize("sample_order", each_of(2, ["PIXEL_FIRST", "FRAME_FIRST"]))
 @settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(number=st.integers(0, 2**32 - 1))
 def test_an_error_target_is_reached_at_the_same_sample_after_stops(session, targeted, sample_order, number):
@@ -80,7 +80,7 @@ def test_a_film_goes_on_with_its_own_settings_alone_but_for_the_clock(session, h
 
 
 @pytest.mark.parametrize("estimate", ["OFF", "ON"])
-@pytest.mark.parametrize("after", [0, 30])
+@pytest.mark.parametrize("after", each_of(2, [30, 0]))
 def test_a_time_limit_holds_for_a_round_that_was_begun_without(session, estimate, after):
     endless = SETTINGS.replace(sample_count=10_000_000, error_estimate=estimate, ray_count=700, tile_size=9)
     with stopping(after):

@@ -185,7 +185,8 @@ class TierChanges:
 
     def _begin(self, request: CompileRequest, hurried: bool = False) -> None:
         """Begin to compile, unless the session is closed. `hurried`: a render waits for it. Beside one that keeps all
-        cores busy a compiler of low priority would get a tenth of one, and end after the render.
+        cores busy a compiler of low priority would get a tenth of one, and end after the render; one that began between
+        two renders stays what it is.
         """
         with self._lock:
             if self._closed:

@@ -99,7 +99,7 @@ class _Function(wp.Function):
 
 
 def _wait_for_declaration(self: Any, name: str) -> Any:
-    """`__getattr__` of what is being declared: other threads than the one that does it wait until that is over."""
+    """`__getattr__` of what is being declared: a thread that asks for what is not there yet waits for the end."""
     if name.startswith("__"):
         raise AttributeError(name)
     with _codegen._codegen_lock:
@@ -273,10 +273,12 @@ class _Module(wp.Module):
                 kernel.__class__ = _KernelAtWork
                 try:
                     _declare_kernel(kernel, kernel.func, key=kernel.key, module=self, options=before["options"])
-                except BaseException:  # the next one who asks gets the same error
+                except BaseException as error:  # the next one who asks gets the same error
                     kernel.__class__ = _Kernel
                     vars(kernel).clear()
                     vars(kernel).update(before)
+                    if isinstance(error, AttributeError):  # else it would seem that there is no such attribute
+                        raise RuntimeError(f"{kernel.key} cannot be declared: {error}") from error
                     raise
                 kernel.__class__ = wp.Kernel
                 declared_count += 1

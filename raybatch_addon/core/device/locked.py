@@ -87,14 +87,14 @@ def locked_empty(shape: int | tuple[int, ...], dtype: type, hurry: bool = True) 
 
 def locked_view(values: np.ndarray, dtype: type, device: wp.Device) -> wp.array | None:
     """`values`, contiguous, as an array of the CUDA device `device`, which reads them where they lie, or of the CPU;
-    None where they are small, or the driver cannot lock them.
+    None where they are small, or the driver cannot lock them. Each dimension is below 2^31, as Warp counts them.
 
     They are locked as long as such an array lives: several devices may ask for one at the same time.
     """
     driver = _driver()
     if driver is None or values.nbytes < OWN_PAGES_LEAST:
         return None
-    shape = (values.nbytes // wp.types.type_size_in_bytes(dtype),)
+    shape = (*values.shape[:-1], values.shape[-1] * values.itemsize // wp.types.type_size_in_bytes(dtype))
     return _registered(driver, values, dtype, shape, device)
 
 
@@ -118,7 +118,11 @@ def _registered(driver: Any, memory: np.ndarray, dtype: type, shape: tuple[int, 
             if not held.users:
                 _give_back(driver, _registrations.pop(place).memory)
 
-    return wp.array(ptr=place[0], dtype=dtype, shape=shape, device=device, pinned=device.is_cpu, deleter=let_go)
+    try:
+        return wp.array(ptr=place[0], dtype=dtype, shape=shape, device=device, pinned=device.is_cpu, deleter=let_go)
+    except BaseException:
+        let_go()
+        raise
 
 
 def _give_back(driver: Any, memory: np.ndarray) -> None:

@@ -16,13 +16,14 @@ import time
 import weakref
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
-
-import warp as wp
+from typing import TYPE_CHECKING, Any
 
 from ..files import sole_owner, whole_file
 from .identity import sources_changed, sources_digest
 from .kept_kernels import folders
+
+if TYPE_CHECKING:
+    import warp as wp
 
 SHIPPED = Path(__file__).resolve().parents[2] / "kernels"  # kernels that came with the extension
 _FILES_MOST = 12  # states of the sources that are remembered

@@ -16,8 +16,6 @@ CUDA_RAYS = 1 << 22
 # render of 125 million triangles (H200, a tenth of them on the device) took 1.39 s with 34 million paths alive, and
 # 1.59 s with 105 million. New paths begin where others end, so that few pages more are copied.
 RAYS_MOST = {True: 1 << 25, False: 1 << 23}  # on CUDA; of a worker on the CPU
-# Tiles of images that come to a GPU are looked up by all rays at once, so no number is too many
-IMAGE_RAYS = 1 << 26
 # Edges of tiles where `tile_size` is 0
 CPU_TILE = 128
 CUDA_TILE = 2048
@@ -70,16 +68,12 @@ def water_marks(settings: RenderSettings, path_count: int) -> WaterMarks:
     return WaterMarks(path_count, low, high)
 
 
-def paths_a_worker(
-    settings: RenderSettings, workers: int, is_cuda: bool, paged: bool = False, in_tiles: bool = False
-) -> int:
-    """Path slots of each worker; `paged`: geometry is brought in by pages; `in_tiles`: images are, to a GPU."""
+def paths_a_worker(settings: RenderSettings, workers: int, is_cuda: bool, many: bool = False) -> int:
+    """Path slots of each worker; `many`: what is brought in, as pages of geometry, is to serve many."""
     if settings.ray_count:
         return max(1, settings.ray_count // workers)
-    if paged:
+    if many:
         return RAYS_MOST[is_cuda]
-    if in_tiles:
-        return IMAGE_RAYS
     return CUDA_RAYS if is_cuda else CPU_RAYS_A_WORKER
 
 

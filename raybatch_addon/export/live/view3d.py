@@ -93,8 +93,11 @@ def live_camera(
     Raises `SceneError` for a view that is not finite, as after a stroke of a brush on an object that is scaled to 0.
     """
     if not np.isfinite([*view.to_view, *view.projection]).all():
-        if view.through_camera:
-            raise SceneError("the camera's matrix is not finite; reset its transform")
+        if view.through_camera and camera is not None:
+            what = "its lens" if np.isfinite(view.to_view).all() else "its matrix"
+            raise SceneError(
+                f"camera “{camera.name}”: {what} is not finite; reset its location, rotation, scale and lens"
+            )
         raise SceneError("the view's matrix is not finite; choose View > Frame All, then View > Viewpoint > Top")
     window, transform = view.window, view.transform[:3]
     box: Box | None = None

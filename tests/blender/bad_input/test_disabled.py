@@ -5,7 +5,7 @@ import pytest
 pytest.importorskip("bpy")
 
 from tests.support.command_line import run_python
-from tests.support.running.shares import each_of
+from tests.support.running.shares import thorough_but
 
 BEGINNING = """
 import faulthandler, gc, sys, threading
@@ -257,7 +257,9 @@ def test_disabled_from_another_thread_ends_the_render_and_the_viewport(stage, tm
     assert_well(FROM_ANOTHER_THREAD, tmp_path, stage)
 
 
-@pytest.mark.parametrize("place", each_of(3, ["render_init", "render_pre", "scene", "progress"]))
+@pytest.mark.parametrize(
+    "place", thorough_but(["render_init", "scene", "progress"], ["render_init", "render_pre", "scene", "progress"])
+)
 def test_disabled_by_the_render_itself_goes_when_that_has_ended(place, tmp_path):
     assert_well(FROM_THE_RENDER, tmp_path, place)
 

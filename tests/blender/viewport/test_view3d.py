@@ -49,12 +49,20 @@ def test_a_view_of_its_own_is_sharp_and_clips_as_the_space_does(scene):
     assert (camera.clip_start, camera.clip_end) == (0.5, 50)
 
 
-@pytest.mark.parametrize("through_camera, named", [(True, "the camera's matrix"), (False, "the view's matrix")])
-@pytest.mark.parametrize("matrix", ["to_view", "projection"])
-def test_a_view_that_is_not_finite_is_named(scene, through_camera, named, matrix):
+@pytest.mark.parametrize(
+    "through_camera, matrix, named",
+    [
+        (True, "to_view", "camera “Camera”: its matrix"),
+        (True, "projection", "camera “Camera”: its lens"),
+        (False, "to_view", "the view's matrix"),
+        (False, "projection", "the view's matrix"),
+    ],
+)
+def test_a_view_that_is_not_finite_is_named(scene, through_camera, matrix, named):
     context = region_context(through_camera=through_camera)
     context.space_data.use_render_border = scene.render.use_border = True
     view, *_ = seen(context, scene)
+    scene.camera.name = "Camera"
     lost = replace(view, **{matrix: (float("nan"),) * 16})
     with pytest.raises(SceneError, match=f"{named} is not finite; .*(reset|choose)"):
         live_camera(lost, scene.camera, bpy.context.evaluated_depsgraph_get(), FRAME)

@@ -9,7 +9,7 @@ from raybatch_addon.core.cluster.session import ClusterSession
 from raybatch_addon.core.errors import RayBatchError
 from tests.core.cluster.clusters import SETTINGS
 from tests.support import scenes
-from tests.support.running.shares import each_of
+from tests.support.running.shares import thorough_but
 from tests.support.watched_renders import FRAME, assert_same_film
 
 pytestmark = pytest.mark.usefixtures("general_kernels")
@@ -75,7 +75,7 @@ def lose(digest):
     part_store()._path(digest).unlink(missing_ok=True)
 
 
-@pytest.mark.parametrize("change", each_of(2, ["noise", "noise and error", "error"]))
+@pytest.mark.parametrize("change", thorough_but(["noise and error", "error"], ["noise", "noise and error", "error"]))
 def test_a_checkpoint_in_the_middle_of_a_round_is_that_of_any_render(
     connection, session, long_tasks, tmp_path, change, bands
 ):

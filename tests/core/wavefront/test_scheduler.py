@@ -72,9 +72,7 @@ def test_ray_count_is_shared_by_the_workers():
 
 def test_what_comes_to_a_gpu_serves_more_rays_and_larger_tiles():
     settings = RenderSettings(sample_count=256)
-    alone, pages, images = ({}, dict(paged=True), dict(in_tiles=True))
-    counts = [paths_a_worker(settings, 1, True, **each) for each in (alone, pages, images)]
-    assert counts == sorted(set(counts))
+    assert paths_a_worker(settings, 1, True, many=True) > paths_a_worker(settings, 1, True)
     assert tile_edge(settings, True, 1280, 720, many=True) == 1280 > tile_edge(settings, True, 1280, 720)
 
 

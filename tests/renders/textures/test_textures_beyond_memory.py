@@ -66,12 +66,12 @@ def test_the_film_is_that_of_images_in_memory(session, whole, change):
     assert film.statistics["rays"] == whole.statistics["rays"]
 
 
-@pytest.mark.parametrize("samples_together, pictures", [(1, 2), (4, 1)])
-def test_a_tile_is_shown_after_as_many_paths_as_wait_together(session, whole, samples_together, pictures):
-    shown, pixels = [], 20 * 16
-    settings = TILED.replace(tile_order="PROGRESSIVE", tile_size=20, ray_count=samples_together * pixels)
-    assert same(session.render(room(), settings, on_tile=shown.append), whole)
-    assert len(shown) == pictures
+def test_a_tile_is_shown_after_a_sample_and_then_on_a_gpu_after_as_many_paths_as_wait_together(session, device):
+    shown, samples = [], 64
+    settings = dict(sample_count=samples, tile_order="PROGRESSIVE", tile_size=20, ray_count=20 * 16 * samples)
+    film = session.render(room(), TILED.replace(**settings), on_tile=shown.append)
+    assert same(film, session.render(room(), WHOLE.replace(**settings)))
+    assert len(shown) == (2 if device != "cpu" else 3)  # after 1 sample, 9 and 64
 
 
 def test_the_least_pool_is_named_and_is_enough(session, whole):

@@ -200,6 +200,16 @@ def test_where_tests_follow_all_kernels_are_waited_for(made, monkeypatch):
 
 
 @pytest.mark.skipif(environment.fcntl is None, reason="on Windows both compile")
+def test_they_are_waited_for_where_another_call_compiles_them(made, monkeypatch):
+    monkeypatch.setattr(environment, "WAIT_SECONDS", 0.0)
+    assert made.make() == 0 and wait_for(made.compilers)
+    later = threading.Timer(0.3, made.let_go)
+    later.start()
+    assert made.make("all") == 0 and made.stamp.is_file() and made.compilers() == 1
+    later.join()
+
+
+@pytest.mark.skipif(environment.fcntl is None, reason="on Windows both compile")
 def test_a_second_call_does_not_compile_beside_the_first(made, monkeypatch, capfd):
     monkeypatch.setattr(environment, "WAIT_SECONDS", 0.0)
     assert made.make() == 0 and wait_for(made.compilers)

@@ -270,7 +270,7 @@ class Rendering:
 
     def _step_end(self, integrator: TileIntegrator, halves: Sequence[TileState]) -> int:
         """Samples of the round that each half of a tile has when it is shown: the same for all, wherever a stop left
-        them. Tiles of images come anew in each step, so it has as many paths as wait together.
+        them. Tiles of images come to a GPU anew in each step, so all but the first have as many paths as wait together.
         """
         tile = halves[0].tile
         last = max(self._state.samples_of(state).sample_count for state in halves)
@@ -279,7 +279,8 @@ class Rendering:
         begun = min(state.items_begun // max(state.pixel_count, 1) for state in halves)
         pixels, left = max(sum(state.pixel_count for state in halves), 1), last - begun
         share = LEFT_SHARE / len(self._integrators) * self._state.items_open / pixels
-        together = integrator.path_count // pixels if integrator.textures else 0
+        waits = begun and integrator.textures and integrator.device.is_cuda
+        together = integrator.path_count // pixels if waits else 0
         samples = self._steps.samples((tile.x, tile.y, tile.width, tile.height), left, share)
         return begun + max(samples, min(together, left))
 

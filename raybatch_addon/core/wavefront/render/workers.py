@@ -94,10 +94,9 @@ def make_workers(
     if settings.ray_count:
         workers = min(workers, settings.ray_count)
     in_tiles = scene.fetches is not None and scene.images.tiled is not None
-    come = in_tiles and device.is_cuda  # of a CPU's images all are in its memory anyway
-    many = paged or come
+    many = paged or (in_tiles and device.is_cuda)  # of a CPU's images all are in its memory anyway
     # no tile needs more paths than it has samples
-    asked = min(paths_a_worker(settings, workers, device.is_cuda, paged, come), max(areas) * sample_count)
+    asked = min(paths_a_worker(settings, workers, device.is_cuda, many), max(areas) * sample_count)
     made.path_bytes = each = path_bytes(scene, frame, settings, asked)
     layout, slots, slot_bytes = layout_of(frame.passes, frame.transparent), 0, 0  # of tiles of images
     if in_tiles:

@@ -1,4 +1,6 @@
-"""Tiles on their way to slots of a GPU, which reads them where the pictures lie: in locked memory of the host."""
+"""Tiles on their way to slots of a GPU, which reads them where the pictures lie, in locked memory of the host; those of
+pictures that cannot be locked come by a buffer.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +11,10 @@ from ...device.kernel import KERNEL_OPTIONS
 from ...native.structs import record_type, upload_records
 from ...shading.images.tiled.pictures import TileSource
 
-# Tiles of one launch
+# Tiles of one launch: what is uploaded for them takes 2 MB
 _LAUNCHED = 1 << 15
+# Bytes of tiles in the buffer
+_STAGED_BYTES = 64 << 20
 _WORD_BYTES = 4  # a thread writes so many
 
 
@@ -34,11 +38,35 @@ def carry_tiles(source: TileSource, numbers: np.ndarray, addresses: np.ndarray) 
     records = np.zeros(len(numbers), record_type(TileCopy))
     carried = source.locate(numbers, records)
     records["target"] = addresses
+    _launch(source, records[records["source"] != 0])
+    if not records["source"].all():
+        _carry_staged(source, numbers[records["source"] == 0], records[records["source"] == 0])
+    return carried
+
+
+def _launch(source: TileSource, records: np.ndarray) -> None:
     words = source.slot_bytes // _WORD_BYTES
     for first in range(0, len(records), _LAUNCHED):
         copies = upload_records(records[first : first + _LAUNCHED], TileCopy, source.device)
         wp.launch(carry_tiles_kernel, (len(copies), words), [copies], device=source.device)
-    return carried
+
+
+def _carry_staged(source: TileSource, numbers: np.ndarray, records: np.ndarray) -> None:
+    """Carry the tiles by a locked buffer, in which they lie as in their slots."""
+    device, size = source.device, source.slot_bytes
+    most = max(1, min(len(numbers), _STAGED_BYTES // size))
+    buffer = wp.zeros((most, size), dtype=wp.uint8, device="cpu", pinned=device.is_cuda)
+    tiles, texels = buffer.numpy(), records["row_words"] * _WORD_BYTES // records["texel"]  # of a row
+    records["stored"] = records["texel"]
+    records["stride"] = records["width"] = texels * records["texel"]
+    for first in range(0, len(numbers), most):
+        part = records[first : first + most]
+        for place, number in enumerate(numbers[first : first + most].tolist()):
+            source.copy_tile(number, tiles[place])
+        part["source"] = buffer.ptr + size * np.arange(len(part), dtype=np.uint64)
+        _launch(source, part)
+        if device.is_cuda:
+            wp.synchronize_stream(device.stream)  # before the buffer is written again, or freed
 
 
 @wp.func

@@ -81,7 +81,7 @@ def test_the_order_of_visits_changes_nothing(
     journey.check()
 
 
-@pytest.mark.parametrize("interleave", [1, 3])
+@pytest.mark.parametrize("interleave", each_of(2, [3, 1]))
 @pytest.mark.parametrize("name", ["soup", "instances"])
 def test_how_many_rays_are_carried_changes_nothing(name, interleave):
     for in_turn in (True, False):

@@ -10,28 +10,31 @@ from raybatch_addon.core.native.structs import record_type, upload_records
 from raybatch_addon.core.scene.description import ImageEncoding
 from raybatch_addon.core.shading.images.levels import ImageLevels
 from raybatch_addon.core.shading.images.tiled.pictures import TileSource, tiled_picture
+from raybatch_addon.core.wavefront.textures import carry
 from raybatch_addon.core.wavefront.textures.carry import TileCopy, carry_tiles, carry_tiles_kernel
 
 SLOT = 1024  # bytes
-KINDS = [("uint8", 1), ("uint8", 4)] + [(dtype, channels) for dtype in ("float16", "float32") for channels in (1, 3, 4)]
+KINDS = [("uint8", 1), ("uint8", 3), ("uint8", 4)]
+KINDS += [(dtype, channels) for dtype in ("float16", "float32") for channels in (1, 3, 4)]
 
 
-def source_of(shapes, dtype, device) -> TileSource:
-    """Pictures of random texels, where a GPU would read them."""
+def source_of(shapes, dtype, device, staged) -> TileSource:
+    """Pictures of random texels, where a GPU would read them; `staged`: it cannot."""
     source, random = TileSource(wp.get_device(device)), np.random.default_rng(1)
     for shape in shapes:
         pixels = random.integers(1, 200, shape).astype(dtype)
         made = tiled_picture(pixels, ImageLevels.NONE, ImageEncoding.LINEAR, SLOT, source.device)
-        if not made.read:
-            there = wp.array(pixels.reshape(-1).view(np.uint8), device="cpu", copy=False)
-            made = dataclasses.replace(made, read=[there])
-        source.place(made)
+        there = made.read[0] or wp.array(pixels.reshape(-1).view(np.uint8), device="cpu", copy=False)
+        source.place(dataclasses.replace(made, read=[None if staged else there]))
     return source
 
 
+@pytest.mark.parametrize("staged", [False, True])
 @pytest.mark.parametrize("dtype, channels", KINDS)
-def test_carried_tiles_are_those_that_are_copied(dtype, channels, device):
-    source = source_of([(37, 45, channels), (64, 33, channels)], dtype, device)
+def test_carried_tiles_are_those_that_are_copied(dtype, channels, staged, device, monkeypatch):
+    monkeypatch.setattr(carry, "_LAUNCHED", 5)
+    monkeypatch.setattr(carry, "_STAGED_BYTES", 3 * SLOT)
+    source = source_of([(37, 45, channels), (64, 33, channels)], dtype, device, staged)
     numbers = np.setdiff1d(np.arange(source.number_count), source.rows)[::-1].copy()
     slots = wp.zeros((len(numbers), SLOT), dtype=wp.uint8, device=device)
     carried = carry_tiles(source, numbers, slots.ptr + SLOT * np.arange(len(numbers), dtype=np.uint64))

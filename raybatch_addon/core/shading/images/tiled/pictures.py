@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import weakref
 from bisect import bisect_right
@@ -11,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from ....device.locked import locked_empty, locked_view
+from ....device.locked import OWN_PAGES_LEAST, locked_empty, locked_view
 from ....scene.description import ImageEncoding
 from ....scene.frozen import is_frozen
 from ..levels import FilteredImage, ImageLevels, coarser_levels, level_encoding
@@ -23,7 +24,7 @@ from .look_up import COLUMN_SHIFT, KIND_MASK, ROW_SHIFT
 _TEXEL_BYTES = {kind: wp.types.type_size_in_bytes(dtype) for kind, dtype in TEXEL_KINDS.values()} | {Texels.BYTE3: 4}
 
 # The number 1, or its like, in texels of a type
-OPAQUE_BITS = {"uint8": 0xFF, "float16": 0x3C00, "float32": 0x3F800000}
+_OPAQUE_BITS = {"uint8": 0xFF, "float16": 0x3C00, "float32": 0x3F800000}
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,8 @@ class TiledPicture:
     texels: Texels
     slot_bytes: int
     tiled: list[np.ndarray]  # the picture and its large levels, each [height, width, channels]
-    read: list[wp.array]  # the same where a GPU reads them, uint8; empty on a CPU
+    # the same where a GPU reads them, uint8, [height, bytes of a row]; None: it does not
+    read: list[wp.array | None]
     small: list[np.ndarray]  # the levels above them
     array: wp.array | None  # the same on the device, one after another
     level_encoding: int  # `ImageEncoding`, or `ROOT`
@@ -113,7 +115,7 @@ def tiled_picture(
         texels=kind,
         slot_bytes=slot_bytes,
         tiled=tiled,
-        read=[read_by(each, device) for each in tiled] if device.is_cuda else [],
+        read=[read_by(each, device) if device.is_cuda else None for each in tiled],
         small=small,
         array=array,
         level_encoding=level_encoding(own.dtype, encoding),
@@ -121,13 +123,16 @@ def tiled_picture(
     )
 
 
-def read_by(pixels: np.ndarray, device: wp.Device) -> wp.array:
-    """`pixels` as bytes that the CUDA device reads through the bus: where they lie, or, if few, a locked copy."""
-    flat = np.ascontiguousarray(pixels).reshape(-1).view(np.uint8)
-    there = locked_view(flat, wp.uint8, device)
-    if there is None:
-        there = locked_empty(flat.size, wp.uint8)
-        there.numpy()[:] = flat
+def read_by(pixels: np.ndarray, device: wp.Device) -> wp.array | None:
+    """`pixels` [height, ...] as rows of bytes that the CUDA device reads through the bus: where they lie, or, if they
+    are few, a locked copy. None where they cannot be locked.
+    """
+    rows = np.ascontiguousarray(pixels).reshape(len(pixels), -1).view(np.uint8)
+    there = locked_view(rows, wp.uint8, device)
+    if there is None and rows.nbytes < OWN_PAGES_LEAST:
+        with contextlib.suppress(MemoryError, RuntimeError):
+            there = locked_empty(rows.shape, wp.uint8)
+            there.numpy()[:] = rows
     return there
 
 
@@ -136,7 +141,7 @@ class _Grid:
     """A picture or a level, divided in tiles."""
 
     pixels: np.ndarray
-    read: wp.array | None  # the same where a GPU reads it
+    read: wp.array | None  # the same where a GPU reads it; None: it does not
     channels: int  # that are stored
     column_bits: int
     row_bits: int
@@ -169,11 +174,10 @@ class TileSource:
         channels = next(shape[1] for shape, known in TEXEL_KINDS.items() if known[0] is picture.texels)
         parts = []
         for place, pixels in enumerate(picture.tiled):
-            read = picture.read[place] if picture.read else None
             height, width = pixels.shape[:2]
             columns, rows = ((width - 1) >> column_bits) + 1, ((height - 1) >> row_bits) + 1
             self._first.append(self.number_count)
-            self._grids.append(_Grid(pixels, read, channels, column_bits, row_bits, columns))
+            self._grids.append(_Grid(pixels, picture.read[place], channels, column_bits, row_bits, columns))
             parts.append(Part(8 * self.number_count, word, width, height))
             self.number_count += 1 + columns * rows
             self.tile_count += columns * rows
@@ -208,16 +212,18 @@ class TileSource:
         return np.array(self._first, np.int64)
 
     def locate(self, numbers: np.ndarray, records: np.ndarray) -> int:
-        """Say in `records` of `TileCopy`, one for each of the tiles `numbers`, where they lie; their bytes in slots."""
-        table = self._table
-        at = np.searchsorted(self.rows, numbers, side="right") - 1
-        grid = {name: values[at] for name, values in table.items()}
-        row, column = np.divmod(numbers - self.rows[at] - 1, grid["columns"])
+        """Say in `records` of `TileCopy`, one for each of the tiles `numbers`, where they lie; their bytes in slots.
+        `source` is 0 for those that a GPU does not read.
+        """
+        at = np.searchsorted(self._table["first"], numbers, side="right") - 1
+        grid = {name: values[at] for name, values in self._table.items()}
+        row, column = np.divmod(numbers - grid["first"] - 1, grid["columns"])
         x, y = column << grid["column_bits"], row << grid["row_bits"]
         rows = np.minimum(1 << grid["row_bits"], grid["height"] - y)
         across = np.minimum(1 << grid["column_bits"], grid["width"] - x)
         records["stride"] = grid["width"] * grid["stored"]
-        records["source"] = grid["address"] + (y * records["stride"] + x * grid["stored"]).astype(np.uint64)
+        offset = (y * records["stride"] + x * grid["stored"]).astype(np.uint64)
+        records["source"] = np.where(grid["address"] != 0, grid["address"] + offset, 0)
         records["rows"], records["width"] = rows, across * grid["stored"]
         records["row_words"] = (grid["texel"] << grid["column_bits"]) // 4
         for name in ("stored", "texel", "fill"):
@@ -232,7 +238,8 @@ class TileSource:
             return np.array([of(each) for each in self._grids], dtype)
 
         return {
-            "address": column(lambda grid: grid.read.ptr, np.uint64),
+            "first": self.rows,
+            "address": column(lambda grid: grid.read.ptr if grid.read else 0, np.uint64),
             "height": column(lambda grid: grid.pixels.shape[0]),
             "width": column(lambda grid: grid.pixels.shape[1]),
             "columns": column(lambda grid: grid.columns),
@@ -240,7 +247,7 @@ class TileSource:
             "row_bits": column(lambda grid: grid.row_bits),
             "stored": column(lambda grid: grid.pixels.shape[2] * grid.pixels.itemsize),
             "texel": column(lambda grid: grid.channels * grid.pixels.itemsize),
-            "fill": column(lambda grid: OPAQUE_BITS[grid.pixels.dtype.name], np.uint32),
+            "fill": column(lambda grid: _OPAQUE_BITS[grid.pixels.dtype.name], np.uint32),
         }
 
     def copy_tile(self, number: int, slot: np.ndarray) -> int:
