@@ -279,7 +279,7 @@ class Rendering:
         begun = min(state.items_begun // max(state.pixel_count, 1) for state in halves)
         pixels, left = max(sum(state.pixel_count for state in halves), 1), last - begun
         share = LEFT_SHARE / len(self._integrators) * self._state.items_open / pixels
-        waits = begun and integrator.textures and integrator.device.is_cuda
+        waits = begun > 0 and integrator.textures is not None and integrator.device.is_cuda
         together = integrator.path_count // pixels if waits else 0
         samples = self._steps.samples((tile.x, tile.y, tile.width, tile.height), left, share)
         return begun + max(samples, min(together, left))

@@ -24,7 +24,9 @@ def source_of(shapes, dtype, device, staged) -> TileSource:
     for shape in shapes:
         pixels = random.integers(1, 200, shape).astype(dtype)
         made = tiled_picture(pixels, ImageLevels.NONE, ImageEncoding.LINEAR, SLOT, source.device)
-        there = made.read[0] or wp.array(pixels.reshape(-1).view(np.uint8), device="cpu", copy=False)
+        there = made.read[0]
+        if there is None:
+            there = wp.array(pixels.reshape(-1).view(np.uint8), device="cpu", copy=False)
         source.place(dataclasses.replace(made, read=[None if staged else there]))
     return source
 

@@ -239,7 +239,7 @@ class TileSource:
 
         return {
             "first": self.rows,
-            "address": column(lambda grid: grid.read.ptr if grid.read else 0, np.uint64),
+            "address": column(lambda grid: 0 if grid.read is None else grid.read.ptr, np.uint64),
             "height": column(lambda grid: grid.pixels.shape[0]),
             "width": column(lambda grid: grid.pixels.shape[1]),
             "columns": column(lambda grid: grid.columns),
