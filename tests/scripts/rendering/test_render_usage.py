@@ -12,6 +12,7 @@ from tests.support.command_line import error_line, run_script
 # Python code: the process stops itself when it imports the module called so
 STOPPED_AT = """
 import builtins, os, signal
+signal.signal(signal.SIGINT, signal.default_int_handler)  # where it was ignored, as in the background of a shell
 real, sent = builtins.__import__, []
 def stopped(name, *arguments, **options):
     if name == {name!r} and not sent:
@@ -53,13 +54,27 @@ def test_a_name_or_value_that_there_is_not_says_what_may_be_meant(tmp_path, argu
     assert done.returncode == 1 and said in error_line(done)
 
 
-def test_signals_are_held_until_they_are_released():
+@pytest.fixture
+def handler():
+    """Of Ctrl-C for the time of the test, whatever it is outside."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield signal.default_int_handler
+    signal.signal(signal.SIGINT, before)
+
+
+def test_signals_are_held_until_they_are_released(handler):
     went_on = []
-    before = signal.getsignal(signal.SIGINT)
     with pytest.raises(KeyboardInterrupt), HeldSignals():
         os.kill(os.getpid(), signal.SIGINT)
         went_on.append(True)
-    assert went_on and signal.getsignal(signal.SIGINT) is before
+    assert went_on and signal.getsignal(signal.SIGINT) is handler
+
+
+def test_signals_that_are_ignored_stay_so(handler):
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with HeldSignals():
+        os.kill(os.getpid(), signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
 
 
 @pytest.mark.parametrize("name", ["numpy", "bpy"])
