@@ -12,6 +12,7 @@ import warp as wp
 from ..device.compiler import CompileStoppedError
 from ..device.devices import load_kernels, loaded_modules
 from ..device.notes import take_notes
+from ..device.ready import write_notes
 from ..measure.parts import Parts
 from ..wavefront.scene.device_scene import DeviceScene
 from ..wavefront.scene.kept_scene import KeptScene
@@ -84,6 +85,7 @@ class Preparation:
             if not all(is_awaited(each, cancelled, show) for each in (built, modules)):
                 return None, []
             made, names = built.result(), modules.result()
+            write_notes()  # also of kernels that the build was the first to launch
             self.build = None
             if found is None:
                 kept.keep(asked, made)
