@@ -42,7 +42,7 @@ from .wavefront.render.summary import (
     workers_summary,
 )
 from .wavefront.scene.device_scene import DeviceScene
-from .wavefront.scheduler import round_tile_edge, step_tile_edge, tile_edge
+from .wavefront.scheduler import round_tile_edge, serves_many, step_tile_edge, tile_edge
 from .wavefront.tier import TierChoice
 
 
@@ -99,7 +99,8 @@ class Job:
         active = first_active(self.scene.frame, settings, self.sample_first, after, device)
         x0, y0, x1, y1 = self.scene.frame.region
         workers = sum(worker_count(each, settings.thread_count) for each in devices)
-        many = self.plan.method is Method.PAGED or (bool(self.features.fetch_program) and device.is_cuda)
+        in_tiles = bool(self.features.fetch_program)
+        many = serves_many(self.plan.method is Method.PAGED, in_tiles, device.is_cuda)
         choose_edge = step_tile_edge if self.steps else round_tile_edge if policy.is_cut else tile_edge
         edge = choose_edge(settings, device.is_cuda, x1 - x0, y1 - y0, workers, many)
         if not settings.tile_size:

@@ -68,6 +68,13 @@ def water_marks(settings: RenderSettings, path_count: int) -> WaterMarks:
     return WaterMarks(path_count, low, high)
 
 
+def serves_many(paged: bool, in_tiles: bool, is_cuda: bool) -> bool:
+    """Whether what is brought in is to serve many rays: pages of geometry, and images `in_tiles` on a GPU. A CPU has all
+    of its images in memory anyway.
+    """
+    return paged or (in_tiles and is_cuda)
+
+
 def paths_a_worker(settings: RenderSettings, workers: int, is_cuda: bool, many: bool = False) -> int:
     """Path slots of each worker; `many`: what is brought in, as pages of geometry, is to serve many."""
     if settings.ray_count:

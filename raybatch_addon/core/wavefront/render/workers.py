@@ -19,7 +19,7 @@ from ..plan.plan import Choice, Method
 from ..rays import bytes_per_path
 from ..scene.device_scene import DeviceScene
 from ..scene.kept_scene import KeptScene, settings_but_seeds
-from ..scheduler import paths_a_worker, reduced_path_count, water_marks
+from ..scheduler import paths_a_worker, reduced_path_count, serves_many, water_marks
 from ..textures.pool import tile_slots_of
 from ..tier import array_features
 from ..tracers.buckets.tracer import selection_of
@@ -94,7 +94,7 @@ def make_workers(
     if settings.ray_count:
         workers = min(workers, settings.ray_count)
     in_tiles = scene.fetches is not None and scene.images.tiled is not None
-    many = paged or (in_tiles and device.is_cuda)  # of a CPU's images all are in its memory anyway
+    many = serves_many(paged, in_tiles, device.is_cuda)
     # no tile needs more paths than it has samples
     asked = min(paths_a_worker(settings, workers, device.is_cuda, many), max(areas) * sample_count)
     made.path_bytes = each = path_bytes(scene, frame, settings, asked)

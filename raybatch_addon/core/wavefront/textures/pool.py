@@ -163,8 +163,8 @@ class TilePool:
             self.totals.bytes += carry_tiles(self._source, missing, self._addresses[missing])
             wp.synchronize_stream(self._device.stream)  # so that what is measured is all of it
         else:
-            for number, at in zip(missing.tolist(), zip(block.tolist(), row.tolist())):
-                target = self._blocks[at[0]].numpy()[at[1]].view(np.uint8)
+            for number, slot_block, slot_row in zip(missing.tolist(), block.tolist(), row.tolist()):
+                target = self._blocks[slot_block].numpy()[slot_row].view(np.uint8)
                 self.totals.bytes += self._source.copy_tile(number, target)
         self.totals.fetched += len(missing)
         self.totals.evicted += len(left)
