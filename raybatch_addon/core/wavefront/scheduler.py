@@ -69,8 +69,8 @@ def water_marks(settings: RenderSettings, path_count: int) -> WaterMarks:
 
 
 def serves_many(paged: bool, in_tiles: bool, is_cuda: bool) -> bool:
-    """Whether what is brought in is to serve many rays: pages of geometry, and images `in_tiles` on a GPU. A CPU has all
-    of its images in memory anyway.
+    """Whether what is brought in is to serve many rays: pages of geometry, and images `in_tiles` on a GPU. A CPU has
+    all of its images in memory anyway.
     """
     return paged or (in_tiles and is_cuda)
 
