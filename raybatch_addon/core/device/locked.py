@@ -94,8 +94,12 @@ def locked_view(values: np.ndarray, dtype: type, device: wp.Device) -> wp.array 
     driver = _driver()
     if driver is None or values.nbytes < OWN_PAGES_LEAST:
         return None
-    shape = (*values.shape[:-1], values.shape[-1] * values.itemsize // wp.types.type_size_in_bytes(dtype))
-    return _registered(driver, values, dtype, shape, device)
+    return _registered(driver, values, dtype, shape_of(values, dtype), device)
+
+
+def shape_of(values: np.ndarray, dtype: type) -> tuple[int, ...]:
+    """Shape of `values` as an array of `dtype`, whose own dimensions, those of a vector, are no part of it."""
+    return wp.array(values, dtype=dtype, device="cpu", copy=False).shape
 
 
 def _registered(driver: Any, memory: np.ndarray, dtype: type, shape: tuple[int, ...], device: wp.Device):

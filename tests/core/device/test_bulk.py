@@ -14,7 +14,7 @@ from raybatch_addon.core.device.bulk import (
     kinds_of,
     take_rows,
 )
-from raybatch_addon.core.device.locked import OWN_PAGES_LEAST, locked_empty, locked_view
+from raybatch_addon.core.device.locked import OWN_PAGES_LEAST, locked_empty, locked_view, shape_of
 from tests.support.under_test import DEVICE
 
 
@@ -92,6 +92,12 @@ def test_locked_memory_is_read_and_written_by_the_device(size):
     assert np.array_equal(memory.numpy(), values)
 
 
+def test_what_is_locked_has_the_shape_of_its_elements():
+    assert shape_of(np.zeros((5, 3), np.float32), wp.vec3) == (5,)
+    assert shape_of(np.zeros((5, 3), np.int32), wp.vec3i) == (5,)
+    assert shape_of(np.zeros((5, 7), np.uint8), wp.uint8) == (5, 7), "rows of a picture"
+
+
 @pytest.mark.skipif(DEVICE == "cpu", reason="memory is locked for a CUDA device")
 def test_arrays_of_the_host_are_read_by_the_device_where_they_lie():
     device = wp.get_device(DEVICE)
@@ -99,6 +105,7 @@ def test_arrays_of_the_host_are_read_by_the_device_where_they_lie():
     values = np.random.default_rng(0).random((OWN_PAGES_LEAST // 12 + 1, 3), np.float32)
     for _ in range(2):  # the first lock was given back
         there = locked_view(values, wp.vec3, device)
+        assert there.shape == (len(values),), "as fields of structs take it"
         copied = wp.empty_like(there)
         wp.copy(copied, there)
         assert np.array_equal(copied.numpy(), values)
