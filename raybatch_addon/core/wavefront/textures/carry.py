@@ -1,5 +1,5 @@
 """Tiles on their way to slots of a GPU, which reads them where the pictures lie, in locked memory of the host; those of
-pictures that cannot be locked come by a buffer.
+pictures that cannot be locked come by a buffer. Copies go on beside other kernels: few threads keep the bus busy.
 """
 
 from __future__ import annotations
@@ -13,6 +13,9 @@ from ...shading.images.tiled.pictures import TileSource
 
 # Tiles of one launch: what is uploaded for them takes 2 MB
 _LAUNCHED = 1 << 15
+# Threads that copy, a quarter of a megabyte at a time: more than the bus brings in the two microseconds of a read, and
+# a few warps of each multiprocessor, which has room for others
+_THREADS = 1 << 16
 # Bytes of tiles in the buffer
 _STAGED_BYTES = 64 << 20
 _WORD_BYTES = 4  # a thread writes so many
@@ -33,40 +36,70 @@ class TileCopy:
     fill: wp.uint32
 
 
-def carry_tiles(source: TileSource, numbers: np.ndarray, addresses: np.ndarray) -> int:
-    """Copy the tiles `numbers` of `source` to slots at `addresses`, uint64; their bytes there."""
-    records = np.zeros(len(numbers), record_type(TileCopy))
-    carried = source.locate(numbers, records)
-    records["target"] = addresses
-    _launch(source, records[records["source"] != 0])
-    if not records["source"].all():
-        _carry_staged(source, numbers[records["source"] == 0], records[records["source"] == 0])
-    return carried
+class TileCarrier:
+    """Carries tiles of a source to slots on its device; a CUDA device does other work meanwhile."""
 
+    def __init__(self, source: TileSource):
+        """All tiles of `source` are known, wherever they lie."""
+        self._source, self._device = source, source.device
+        self._stream = wp.Stream(self._device) if self._device.is_cuda else None
+        tiles = np.setdiff1d(np.arange(source.number_count), source.rows)
+        located = np.zeros(len(tiles), record_type(TileCopy))
+        sizes = source.locate(tiles, located)
+        self._records = np.zeros(source.number_count, located.dtype)
+        self._sizes = np.zeros(source.number_count, np.int64)
+        self._records[tiles], self._sizes[tiles] = located, sizes
+        self._copies: list[wp.array] = []  # what kernels under way read
 
-def _launch(source: TileSource, records: np.ndarray) -> None:
-    words = source.slot_bytes // _WORD_BYTES
-    for first in range(0, len(records), _LAUNCHED):
-        copies = upload_records(records[first : first + _LAUNCHED], TileCopy, source.device)
-        wp.launch(carry_tiles_kernel, (len(copies), words), [copies], device=source.device)
+    def __del__(self):
+        if getattr(self, "_copies", None) and self._stream:
+            wp.synchronize_stream(self._stream)  # slots are given back behind this
 
+    def carry(self, numbers: np.ndarray, addresses: np.ndarray) -> int:
+        """Begin to copy the tiles `numbers` to slots at `addresses`, uint64, behind what the device was told before;
+        their bytes there.
+        """
+        records = self._records[numbers]
+        records["target"] = addresses
+        is_read = records["source"] != 0
+        self._launch(records[is_read])
+        if not is_read.all():
+            self._carry_staged(numbers[~is_read], records[~is_read])
+        return int(self._sizes[numbers].sum())
 
-def _carry_staged(source: TileSource, numbers: np.ndarray, records: np.ndarray) -> None:
-    """Carry the tiles by a locked buffer, in which they lie as in their slots."""
-    device, size = source.device, source.slot_bytes
-    most = max(1, min(len(numbers), _STAGED_BYTES // size))
-    buffer = wp.zeros((most, size), dtype=wp.uint8, device="cpu", pinned=device.is_cuda)
-    tiles, texels = buffer.numpy(), records["row_words"] * _WORD_BYTES // records["texel"]  # of a row
-    records["stored"] = records["texel"]
-    records["stride"] = records["width"] = texels * records["texel"]
-    for first in range(0, len(numbers), most):
-        part = records[first : first + most]
-        for place, number in enumerate(numbers[first : first + most].tolist()):
-            source.copy_tile(number, tiles[place])
-        part["source"] = buffer.ptr + size * np.arange(len(part), dtype=np.uint64)
-        _launch(source, part)
-        if device.is_cuda:
-            wp.synchronize_stream(device.stream)  # before the buffer is written again, or freed
+    def wait(self) -> None:
+        """What the device is told from now on comes when all of them are there."""
+        if self._stream:
+            self._device.stream.wait_event(self._stream.record_event())
+        self._copies = []  # what is given their memory comes behind that too
+
+    def _launch(self, records: np.ndarray) -> None:
+        words = self._source.slot_bytes // _WORD_BYTES
+        for first in range(0, len(records), _LAUNCHED):
+            copies = upload_records(records[first : first + _LAUNCHED], TileCopy, self._device)
+            if self._stream:
+                self._stream.wait_event(self._device.stream.record_event())
+            threads = min(_THREADS, len(copies) * words) if self._stream else 1
+            inputs = [copies, words.bit_length() - 1, threads]
+            wp.launch(carry_tiles_kernel, threads, inputs, device=self._device, stream=self._stream)
+            self._copies.append(copies)
+
+    def _carry_staged(self, numbers: np.ndarray, records: np.ndarray) -> None:
+        """Carry the tiles by a locked buffer, in which they lie as in their slots."""
+        size = self._source.slot_bytes
+        most = max(1, min(len(numbers), _STAGED_BYTES // size))
+        buffer = wp.zeros((most, size), dtype=wp.uint8, device="cpu", pinned=self._device.is_cuda)
+        tiles, texels = buffer.numpy(), records["row_words"] * _WORD_BYTES // records["texel"]  # of a row
+        records["stored"] = records["texel"]
+        records["stride"] = records["width"] = texels * records["texel"]
+        for first in range(0, len(numbers), most):
+            part = records[first : first + most]
+            for place, number in enumerate(numbers[first : first + most].tolist()):
+                self._source.copy_tile(number, tiles[place])
+            part["source"] = buffer.ptr + size * np.arange(len(part), dtype=np.uint64)
+            self._launch(part)
+            if self._stream:
+                wp.synchronize_stream(self._stream)  # before the buffer is written again, or freed
 
 
 @wp.func
@@ -82,11 +115,9 @@ def bytes_at(address: wp.uint64, count: int) -> wp.uint32:
     return value
 
 
-@wp.kernel(**KERNEL_OPTIONS)
-def carry_tiles_kernel(copies: wp.array(dtype=TileCopy)):
-    """Copy tiles word by word. Neighboring threads read neighboring words, as transfers through the bus need it."""
-    i, word = wp.tid()
-    c = copies[i]
+@wp.func
+def carry_word(c: TileCopy, word: int):
+    """Copy one word of a tile."""
     row = word // c.row_words
     at = wp.static(_WORD_BYTES) * (word - row * c.row_words)
     texel = at // c.texel
@@ -103,3 +134,16 @@ def carry_tiles_kernel(copies: wp.array(dtype=TileCopy)):
             value = value | bytes_at(c.source + wp.uint64(wp.int64(row) * c.stride + wp.int64(offset)), count)
         slot = wp.array(ptr=c.target, shape=(word + 1,), dtype=wp.uint32)
         slot[word] = value
+
+
+@wp.kernel(**KERNEL_OPTIONS)
+def carry_tiles_kernel(copies: wp.array(dtype=TileCopy), word_bits: int, threads: int):
+    """Copy tiles of 2^`word_bits` words. Neighboring threads read neighboring words, as transfers through the bus need
+    it.
+    """
+    at = wp.int64(wp.tid())
+    end = wp.int64(copies.shape[0]) << wp.int64(word_bits)
+    while at < end:
+        tile = int(at >> wp.int64(word_bits))
+        carry_word(copies[tile], int(at & ((wp.int64(1) << wp.int64(word_bits)) - wp.int64(1))))
+        at += wp.int64(threads)

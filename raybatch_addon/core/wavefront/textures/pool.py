@@ -4,6 +4,9 @@ Between two turns of a worker's loop the tiles that its waiting rays need are br
 room, else those that the next ray needs, and then those that most look-ups want. Where slots are needed the tile leaves
 that was read the longest time ago. While kernels run the slots stay as they are, so that whoever found all of its tiles
 finds them until it is shaded.
+
+A GPU copies tiles on a stream of its own while the next turn runs. A tile leaves before its slot is written, and one
+that comes is shown a turn later, when its copy is over.
 """
 
 from __future__ import annotations
@@ -19,9 +22,10 @@ import warp as wp
 from ...errors import OutOfMemoryError
 from ...native.structs import record_type, upload_records
 from ...shading.images.textures import ImageEntry, ImageTable
-from ...shading.images.tiled.look_up import MARKS, PINNED, SEEN, WANTED
+from ...shading.images.tiled.look_up import MARKS, PINNED, WANTED
 from ...shading.images.tiled.pictures import TileSource
-from .carry import carry_tiles
+from .carry import TileCarrier
+from .marks import IS_WANTED, WAS_SEEN, condense_marks_kernel
 
 _WORD_BYTES = 8  # slots are arrays of words
 _BLOCK_BYTES = 1 << 30  # of an array of slots
@@ -87,14 +91,18 @@ class TilePool:
 
     def __init__(self, source: TileSource, slots: int):
         """`slots` for tiles of `source`."""
-        self._source, self._device = source, source.device
+        self._source, self._device, self._rows = source, source.device, source.rows
+        self._carrier = TileCarrier(source) if source.device.is_cuda else None
         device, numbers, size = source.device, source.number_count, source.slot_bytes
-        self._addresses = np.zeros(numbers, np.uint64)
+        self._on_host = wp.zeros(numbers, dtype=wp.uint64, device="cpu", pinned=device.is_cuda)
+        self._addresses = self._on_host.numpy()
         self._on_device = wp.zeros(numbers, dtype=wp.uint64, device=device)
         self._marks = wp.zeros(MARKS * numbers, dtype=int, device=device)
-        self._addresses[source.rows] = self._marks.ptr + 4 * MARKS * source.rows.astype(np.uint64)
-        self._is_tile = np.ones(numbers, bool)
-        self._is_tile[source.rows] = False
+        self._asked = wp.zeros(numbers, dtype=wp.uint8, device=device)
+        self._asked_host = (
+            wp.zeros(numbers, dtype=wp.uint8, device="cpu", pinned=True) if device.is_cuda else self._asked
+        )
+        self._addresses[self._rows] = self._marks.ptr + 4 * MARKS * self._rows.astype(np.uint64)
         self._per_block = max(1, _BLOCK_BYTES // size)
         self._blocks = [
             wp.zeros((min(self._per_block, slots - first), size // _WORD_BYTES), dtype=wp.uint64, device=device)
@@ -104,12 +112,13 @@ class TilePool:
         self._tile_in = np.full(slots, -1, np.int64)  # number of the tile in a slot; -1: none
         self._slot_of = np.full(numbers, -1, np.int64)
         self._used_at = np.zeros(numbers, np.int64)  # when it was read last, by the count of turns that brought tiles
+        self._coming = np.zeros(0, np.int64)  # tiles that are being copied, and are shown in the next turn
         self.totals = TileTotals(tiles=source.tile_count, slots=slots, slot_bytes=size)
         self.table = ImageTable()
         entries = source.entries_at(self._on_device.ptr).astype(record_type(ImageEntry))
         self.table.entries = upload_records(entries, ImageEntry, device)
         self.table.tiles = source.table_tiles
-        self._show()
+        wp.copy(self._on_device, self._on_host)
 
     def begin(self) -> None:
         """Count anew; tiles stay where they are."""
@@ -120,17 +129,17 @@ class TilePool:
     def bring(self) -> None:
         """Bring the tiles that waiting rays want by the marks, which are cleared."""
         started = time.perf_counter()
-        marks = self._marks.numpy().reshape(-1, MARKS)
-        self.totals.lost += int(marks[~self._is_tile, WANTED].sum())
+        asked = self._read_marks()
         self.totals.turns += 1
-        self._used_at[marks[:, SEEN] != 0] = self.totals.turns
-        wanted = np.flatnonzero((marks[:, WANTED] != 0) & self._is_tile)
+        np.copyto(self._used_at, self.totals.turns, where=(asked & WAS_SEEN).view(bool))
+        wanted = np.flatnonzero(asked & IS_WANTED)
         if len(wanted) > len(self._tile_in):
-            order = np.lexsort((wanted, -marks[wanted, WANTED], -marks[wanted, PINNED]))
-            wanted = np.sort(wanted[order[: len(self._tile_in)]])
+            wanted = self._most_wanted(wanted)
         self._used_at[wanted] = self.totals.turns
-        self._fill(wanted[self._slot_of[wanted] < 0], wanted)
         self._marks.zero_()
+        self._show_coming()
+        self._fill(wanted[self._slot_of[wanted] < 0], wanted)
+        wp.copy(self._on_device, self._on_host)  # kernels from now on find the tiles that are there
         self.totals.seconds += time.perf_counter() - started
 
     def count(self) -> TileTotals:
@@ -139,37 +148,68 @@ class TilePool:
         return self.totals
 
     def _count_lost(self) -> None:
-        marks = self._marks.numpy().reshape(-1, MARKS)
-        self.totals.lost += int(marks[~self._is_tile, WANTED].sum())
+        self._read_marks()
         self._marks.zero_()
+
+    def _read_marks(self) -> np.ndarray:
+        """What was asked of each tile, as bits; look-ups that found none are counted."""
+        asked = self._asked_host.numpy()
+        wp.launch(condense_marks_kernel, len(asked), [self._marks, self._asked], device=self._device)
+        if self._device.is_cuda:
+            wp.copy(self._asked_host, self._asked)
+            wp.synchronize_stream(self._device.stream)
+        rows = self._rows
+        if asked[rows].any():
+            self.totals.lost += int(self._marks.numpy()[MARKS * rows + WANTED].sum())
+            asked[rows] = 0
+        return asked
+
+    def _most_wanted(self, wanted: np.ndarray) -> np.ndarray:
+        """As many of the tiles `wanted` as there are slots: those of the ray that is next, then what most want."""
+        marks = self._marks.numpy().reshape(-1, MARKS)
+        order = marks[wanted, WANTED] + np.where(marks[wanted, PINNED] != 0, np.int64(1) << 32, 0)
+        slots = len(self._tile_in)
+        return np.sort(wanted[np.argpartition(-order, slots - 1)[:slots]])
+
+    def _show_coming(self) -> None:
+        """Tiles have come that were on their way."""
+        if self._carrier and len(self._coming):
+            self._carrier.wait()
+            self._addresses[self._coming] = self._slot_addresses(self._slot_of[self._coming])
+            self._coming = self._coming[:0]
+
+    def _slot_addresses(self, slots: np.ndarray) -> np.ndarray:
+        block, row = np.divmod(slots, self._per_block)
+        return self._block_addresses[block] + (row * self._source.slot_bytes).astype(np.uint64)
 
     def _fill(self, missing: np.ndarray, wanted: np.ndarray) -> None:
         """Bring the tiles `missing`, into slots whose tile is none of `wanted`."""
         if not len(missing):
             return
-        stays = np.zeros(len(self._slot_of), bool)
-        stays[wanted] = True
-        there = self._tile_in >= 0
-        free = np.flatnonzero(~there | ~stays[self._tile_in])
-        age = np.where(there[free], self._used_at[self._tile_in[free]], -1)
-        slots = free[np.lexsort((free, age))][: len(missing)]
+        slots = self._slots_for(len(missing), wanted)
         left = self._tile_in[slots]
         left = left[left >= 0]
         self._slot_of[left], self._addresses[left] = -1, 0
         self._tile_in[slots], self._slot_of[missing] = missing, slots
-        block, row = np.divmod(slots, self._per_block)
-        self._addresses[missing] = self._block_addresses[block] + (row * self._source.slot_bytes).astype(np.uint64)
-        if self._device.is_cuda:
-            self.totals.bytes += carry_tiles(self._source, missing, self._addresses[missing])
-            wp.synchronize_stream(self._device.stream)  # so that what is measured is all of it
+        if self._carrier:
+            self.totals.bytes += self._carrier.carry(missing, self._slot_addresses(slots))
+            self._coming = missing
         else:
-            for number, slot_block, slot_row in zip(missing.tolist(), block.tolist(), row.tolist()):
-                target = self._blocks[slot_block].numpy()[slot_row].view(np.uint8)
+            for number, block, row in zip(
+                missing.tolist(), *(each.tolist() for each in divmod(slots, self._per_block))
+            ):
+                target = self._blocks[block].numpy()[row].view(np.uint8)
                 self.totals.bytes += self._source.copy_tile(number, target)
+            self._addresses[missing] = self._slot_addresses(slots)
         self.totals.fetched += len(missing)
         self.totals.evicted += len(left)
-        self._show()
 
-    def _show(self) -> None:
-        """Let kernels from now on find the tiles that are there."""
-        wp.copy(self._on_device, wp.array(self._addresses, dtype=wp.uint64, device="cpu", copy=False))
+    def _slots_for(self, count: int, wanted: np.ndarray) -> np.ndarray:
+        """So many slots whose tile is none of `wanted`: empty ones, then those that were read the longest time ago."""
+        is_free = np.ones(len(self._tile_in), bool)
+        at = self._slot_of[wanted]
+        is_free[at[at >= 0]] = False
+        free = np.flatnonzero(is_free)
+        tiles = self._tile_in[free]
+        age = np.where(tiles >= 0, self._used_at[tiles], -1)
+        return free[np.argpartition(age, count - 1)[:count]] if count < len(free) else free

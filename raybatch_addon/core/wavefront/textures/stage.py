@@ -34,6 +34,7 @@ from ..stages.surface.program import shading_point, with_steps
 from ..stages.surface.vertex import VertexFeatures, make_vertex
 from ..stages.work import TileWork
 from .carry import carry_tiles_kernel
+from .marks import condense_marks_kernel
 from .state import LEADER, LOOKED, NEXT_LEADER, WAITED, WAITING_NOW, TextureWaits, WaitPhase, has_shadows
 
 _RAY_OUT = int(Status.RAY_OUT)
@@ -274,6 +275,6 @@ def fetch_kernels(features: SceneFeatures, shading: SceneFeatures, is_cuda: bool
     if not features.fetch_program:
         return ()
     own = narrow(shading, FetchFeatures)
-    others = look_again_kernel, shadows_back_kernel, choose_shadows_kernel, list_shadows_kernel
+    others = look_again_kernel, shadows_back_kernel, choose_shadows_kernel, list_shadows_kernel, condense_marks_kernel
     others = (*others, carry_tiles_kernel) if is_cuda else others
     return (fetch_surfaces_kernel(own), fetch_shadows_kernel(own) if has_shadows(features) else None, *others)

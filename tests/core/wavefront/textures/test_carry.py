@@ -11,7 +11,7 @@ from raybatch_addon.core.scene.description import ImageEncoding
 from raybatch_addon.core.shading.images.levels import ImageLevels
 from raybatch_addon.core.shading.images.tiled.pictures import TileSource, tiled_picture
 from raybatch_addon.core.wavefront.textures import carry
-from raybatch_addon.core.wavefront.textures.carry import TileCopy, carry_tiles, carry_tiles_kernel
+from raybatch_addon.core.wavefront.textures.carry import TileCarrier, TileCopy, carry_tiles_kernel
 
 SLOT = 1024  # bytes
 KINDS = [("uint8", 1), ("uint8", 3), ("uint8", 4)]
@@ -39,7 +39,9 @@ def test_carried_tiles_are_those_that_are_copied(dtype, channels, staged, device
     source = source_of([(37, 45, channels), (64, 33, channels)], dtype, device, staged)
     numbers = np.setdiff1d(np.arange(source.number_count), source.rows)[::-1].copy()
     slots = wp.zeros((len(numbers), SLOT), dtype=wp.uint8, device=device)
-    carried = carry_tiles(source, numbers, slots.ptr + SLOT * np.arange(len(numbers), dtype=np.uint64))
+    carrier = TileCarrier(source)
+    carried = carrier.carry(numbers, slots.ptr + SLOT * np.arange(len(numbers), dtype=np.uint64))
+    carrier.wait()
     copied = [(np.zeros(SLOT, np.uint8), np.full(SLOT, 255, np.uint8)) for _ in numbers]
     assert carried == sum(source.copy_tile(int(number), zeros) for number, (zeros, _) in zip(numbers, copied))
     for number, found, (zeros, ones) in zip(numbers, slots.numpy(), copied):
@@ -59,7 +61,8 @@ def test_three_bytes_become_four_from_any_address(device, shift):
     copy["target"], copy["rows"], copy["width"] = slot.ptr, 5, 3 * 3
     copy["stored"], copy["texel"], copy["row_words"], copy["fill"] = 3, 4, 16, 255
     copies = upload_records(copy, TileCopy, wp.get_device(device))
-    wp.launch(carry_tiles_kernel, (1, SLOT // 4), [copies], device=device)
+    threads = 100 if wp.get_device(device).is_cuda else 1
+    wp.launch(carry_tiles_kernel, threads, [copies, (SLOT // 4).bit_length() - 1, threads], device=device)
     tile = slot.numpy().reshape(16, 16, 4)
     assert np.array_equal(tile[:5, :3, :3], picture[:, 8:]) and (tile[:5, :3, 3] == 255).all()
     assert not tile[5:].any() and not tile[:, 3:].any()

@@ -8,6 +8,7 @@ from raybatch_addon.core.errors import OutOfMemoryError
 from raybatch_addon.core.shading.images.image_upload import ImageCache
 from raybatch_addon.core.shading.images.tiled.look_up import MARKS, PINNED, SEEN, WANTED
 from raybatch_addon.core.shading.images.tiled.pictures import TiledImage
+from raybatch_addon.core.wavefront.textures.carry import TileCarrier
 from raybatch_addon.core.wavefront.textures.pool import TilePool, TileTotals, tile_slots_of
 
 
@@ -62,6 +63,20 @@ def test_where_room_lacks_the_next_rays_tiles_come_first_and_then_what_most_want
     # what waiting rays want stays, though it was not read
     wanted(pool, t5=(1, 0, 1), t2=(1, 0, 0), t7=(5, 0, 0))
     assert there(pool) == {2: 2, 5: 5, 7: 7}
+
+
+def test_beside_a_turn_tiles_leave_at_once_and_are_shown_when_they_are_there(source):
+    pool = TilePool(source, 3)
+    pool._carrier = TileCarrier(source)  # as on a GPU
+    wanted(pool, t1=(1, 0, 0), t2=(1, 0, 0), t3=(1, 0, 0))
+    assert not there(pool) and pool.totals.fetched == 3
+    wanted(pool, t1=(1, 0, 0), t2=(0, 1, 0), t4=(1, 0, 0))
+    shown = there(pool)
+    assert shown.items() <= {1: 1, 2: 2, 3: 3}.items() and len(shown) == 2 and shown.keys() >= {1, 2}
+    wanted(pool, t5=(1, 0, 0))
+    assert there(pool)[4] == 4 and 5 not in there(pool)
+    wanted(pool, t5=(1, 0, 1))
+    assert there(pool)[5] == 5 and pool.totals.fetched == 5
 
 
 def test_look_ups_of_tiles_that_are_not_there_are_counted(source):

@@ -211,8 +211,8 @@ class TileSource:
         """Numbers in front of the tiles of each picture or level, int64."""
         return np.array(self._first, np.int64)
 
-    def locate(self, numbers: np.ndarray, records: np.ndarray) -> int:
-        """Say in `records` of `TileCopy`, one for each of the tiles `numbers`, where they lie; their bytes in slots.
+    def locate(self, numbers: np.ndarray, records: np.ndarray) -> np.ndarray:
+        """Say in `records` of `TileCopy`, one for each of the tiles `numbers`, where they lie; bytes of each in a slot.
         `source` is 0 for those that a GPU does not read.
         """
         at = np.searchsorted(self._table["first"], numbers, side="right") - 1
@@ -228,7 +228,7 @@ class TileSource:
         records["row_words"] = (grid["texel"] << grid["column_bits"]) // 4
         for name in ("stored", "texel", "fill"):
             records[name] = grid[name]
-        return int((rows * across * grid["texel"]).sum())
+        return rows * across * grid["texel"]
 
     @functools.cached_property
     def _table(self) -> dict[str, np.ndarray]:
