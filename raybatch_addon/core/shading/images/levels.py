@@ -14,10 +14,11 @@ from enum import IntEnum
 
 import numpy as np
 
+from ...device.bulk import in_slices
 from ...scene.description import Image, ImageEncoding
 from .textures import ROOT
 
-_BLOCK = 256  # rows of the first level that are made at a time, so that no large image is whole as float32
+_BLOCK = 32  # rows of a level that a thread makes at a time, so that no large image is whole as float32
 
 
 class ImageLevels(IntEnum):
@@ -53,19 +54,39 @@ def coarser_levels(pixels: np.ndarray, encoding: ImageEncoding, levels: ImageLev
     """The levels above `pixels` [height, width, 1, 3 or 4], of the same type and channels; texels have to be finite."""
     height, width, channels = pixels.shape
     divided = levels is ImageLevels.DIVIDED and channels == 4
-    made, linear = [], None
+    made: list[np.ndarray] = []
+    before: np.ndarray | None = None
     for wide, high in level_sizes(width, height):
-        if linear is None:
-            linear = np.empty((high, wide, channels), np.float32)
-            for first in range(0, high, _BLOCK):
-                rows = min(_BLOCK, high - first)
-                from_row = 2 * first if height > 1 else 0
-                part = _light(pixels[from_row : from_row + 2 * rows + 1], encoding, divided)
-                linear[first : first + rows] = _halved_columns(_halved_rows(part, first, rows, height))
-        else:
-            linear = _halved_columns(_halved_rows(linear, 0, high, linear.shape[0]))
-        made.append(_stored(linear, pixels.dtype, encoding))
+        linear = np.empty((high, wide, channels), np.float32)
+        level = np.empty((high, wide, channels), pixels.dtype)
+        _fill_level(pixels, linear, level, before, encoding, divided)
+        before = linear
+        made.append(level)
     return made
+
+
+def _fill_level(
+    pixels: np.ndarray,
+    linear: np.ndarray,
+    level: np.ndarray,
+    before: np.ndarray | None,
+    encoding: ImageEncoding,
+    divided: bool,
+) -> None:
+    """Make a level by threads: `linear`, its light, and `level`, the same as it is stored. `before` is the light of the
+    one below, None where that is the picture, `pixels`.
+    """
+    below = len(pixels) if before is None else len(before)
+
+    def fill(rows: slice) -> None:
+        count = rows.stop - rows.start
+        first = 2 * rows.start if below > 1 else 0
+        own = slice(first, first + 2 * count + 1)
+        part = _light(pixels[own], encoding, divided) if before is None else before[own]
+        linear[rows] = _halved_columns(_halved_rows(part, rows.start, count, below))
+        level[rows] = _stored(linear[rows], pixels.dtype, encoding)
+
+    in_slices(len(level), fill, _BLOCK)
 
 
 def _halved_rows(part: np.ndarray, first: int, count: int, rows: int) -> np.ndarray:
@@ -93,8 +114,9 @@ def _light(pixels: np.ndarray, encoding: ImageEncoding, divided: bool) -> np.nda
         table = np.arange(256, dtype=np.float32) / np.float32(255)
         colors = _decoded(table) if encoding is ImageEncoding.SRGB else table
         if pixels.shape[2] == 1:
-            return colors[pixels]
-        own[..., :3], own[..., 3:] = colors[pixels[..., :3]], table[pixels[..., 3:]]
+            return np.take(colors, pixels, mode="clip")
+        np.take(colors, pixels, out=own, mode="clip")
+        own[..., 3:] = table[pixels[..., 3:]]
         return own
     own = pixels / np.float32(255) if pixels.dtype == np.uint8 else pixels.astype(np.float32)
     if encoding is ImageEncoding.SRGB:
