@@ -18,7 +18,8 @@ _LAUNCHED = 1 << 15
 _THREADS = 1 << 16
 # Bytes of tiles in the buffer
 _STAGED_BYTES = 64 << 20
-_WORD_BYTES = 4  # a thread writes so many
+_WORD_BYTES = 4
+_AT_ONCE = 4  # words that a thread reads before it writes them
 
 
 @wp.struct
@@ -116,34 +117,60 @@ def bytes_at(address: wp.uint64, count: int) -> wp.uint32:
 
 
 @wp.func
-def carry_word(c: TileCopy, word: int):
-    """Copy one word of a tile."""
+def is_inside(c: TileCopy, word: int) -> bool:
+    """Whether the picture has anything of a word of the tile."""
+    row = word // c.row_words
+    texel = wp.static(_WORD_BYTES) * (word - row * c.row_words) // c.texel
+    return row < c.rows and texel * c.stored < c.width
+
+
+@wp.func
+def word_of(c: TileCopy, word: int) -> wp.uint32:
+    """A word of a tile that is inside its picture."""
     row = word // c.row_words
     at = wp.static(_WORD_BYTES) * (word - row * c.row_words)
     texel = at // c.texel
-    if row < c.rows and texel * c.stored < c.width:
-        first = at - texel * c.texel  # byte within the texel
-        offset = texel * c.stored + first
-        count = wp.min(wp.static(_WORD_BYTES), c.width - offset)
-        value = wp.uint32(0)
-        if c.stored != c.texel:
-            count = wp.clamp(c.stored - first, 0, wp.static(_WORD_BYTES))
-            if count < wp.static(_WORD_BYTES):
-                value = c.fill << wp.uint32(8 * count)
-        if count > 0:
-            value = value | bytes_at(c.source + wp.uint64(wp.int64(row) * c.stride + wp.int64(offset)), count)
-        slot = wp.array(ptr=c.target, shape=(word + 1,), dtype=wp.uint32)
-        slot[word] = value
+    first = at - texel * c.texel  # byte within the texel
+    offset = texel * c.stored + first
+    address = c.source + wp.uint64(wp.int64(row) * c.stride + wp.int64(offset))
+    count = wp.min(wp.static(_WORD_BYTES), c.width - offset)
+    value = wp.uint32(0)
+    if c.stored != c.texel:
+        count = wp.clamp(c.stored - first, 0, wp.static(_WORD_BYTES))
+        if count < wp.static(_WORD_BYTES):
+            value = c.fill << wp.uint32(8 * count)
+    if count == wp.static(_WORD_BYTES) and (address & wp.uint64(3)) == wp.uint64(0):
+        there = wp.array(ptr=address, shape=(1,), dtype=wp.uint32)
+        value = there[0]
+    elif count > 0:
+        value = value | bytes_at(address, count)
+    return value
 
 
 @wp.kernel(**KERNEL_OPTIONS)
 def carry_tiles_kernel(copies: wp.array(dtype=TileCopy), word_bits: int, threads: int):
     """Copy tiles of 2^`word_bits` words. Neighboring threads read neighboring words, as transfers through the bus need
-    it.
+    it, and each some at once, since a word takes long to come.
     """
     at = wp.int64(wp.tid())
-    end = wp.int64(copies.shape[0]) << wp.int64(word_bits)
+    step = wp.int64(threads)
+    bits = wp.int64(word_bits)
+    mask = (wp.int64(1) << bits) - wp.int64(1)
+    end = wp.int64(copies.shape[0]) << bits
     while at < end:
-        tile = int(at >> wp.int64(word_bits))
-        carry_word(copies[tile], int(at & ((wp.int64(1) << wp.int64(word_bits)) - wp.int64(1))))
-        at += wp.int64(threads)
+        values = wp.vector(length=wp.static(_AT_ONCE), dtype=wp.uint32)
+        for k in range(wp.static(_AT_ONCE)):
+            i = at + wp.int64(k) * step
+            if i < end:
+                c = copies[int(i >> bits)]
+                if is_inside(c, int(i & mask)):
+                    values[k] = word_of(c, int(i & mask))
+        for k in range(wp.static(_AT_ONCE)):
+            i = at + wp.int64(k) * step
+            if i < end:
+                c = copies[int(i >> bits)]
+                word = int(i & mask)
+                if is_inside(c, word):
+                    slot = wp.array(ptr=c.target, shape=(word + 1,), dtype=wp.uint32)
+                    slot[word] = values[k]
+        at += wp.int64(wp.static(_AT_ONCE)) * step

@@ -26,6 +26,7 @@ from ...shading.images.tiled.look_up import MARKS, PINNED, WANTED
 from ...shading.images.tiled.pictures import TileSource
 from .carry import TileCarrier
 from .marks import IS_WANTED, WAS_SEEN, condense_marks_kernel
+from .policy import choose_tiles, urgency_of
 
 _WORD_BYTES = 8  # slots are arrays of words
 _BLOCK_BYTES = 1 << 30  # of an array of slots
@@ -132,13 +133,10 @@ class TilePool:
         asked = self._read_marks()
         self.totals.turns += 1
         np.copyto(self._used_at, self.totals.turns, where=(asked & WAS_SEEN).view(bool))
-        wanted = np.flatnonzero(asked & IS_WANTED)
-        if len(wanted) > len(self._tile_in):
-            wanted = self._most_wanted(wanted)
-        self._used_at[wanted] = self.totals.turns
+        missing, kept = self._choose(np.flatnonzero(asked & IS_WANTED))
         self._marks.zero_()
         self._show_coming()
-        self._fill(wanted[self._slot_of[wanted] < 0], wanted)
+        self._fill(missing, kept)
         wp.copy(self._on_device, self._on_host)  # kernels from now on find the tiles that are there
         self.totals.seconds += time.perf_counter() - started
 
@@ -164,12 +162,18 @@ class TilePool:
             asked[rows] = 0
         return asked
 
-    def _most_wanted(self, wanted: np.ndarray) -> np.ndarray:
-        """As many of the tiles `wanted` as there are slots: those of the ray that is next, then what most want."""
-        marks = self._marks.numpy().reshape(-1, MARKS)
-        order = marks[wanted, WANTED] + np.where(marks[wanted, PINNED] != 0, np.int64(1) << 32, 0)
-        slots = len(self._tile_in)
-        return np.sort(wanted[np.argpartition(-order, slots - 1)[:slots]])
+    def _choose(self, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of the tiles `wanted` those to bring, and those that stay."""
+        is_there, slots = self._slot_of[wanted] >= 0, len(self._tile_in)
+        # half of the slots are filled while rays read the other half
+        most = max(1, slots // 2) if self._carrier else slots
+        missing, kept = wanted[~is_there], wanted[is_there]
+        if len(wanted) > slots or len(missing) > most:
+            marks = self._marks.numpy().reshape(-1, MARKS)[wanted]
+            urgency = urgency_of(marks[:, WANTED], marks[:, PINNED] != 0)
+            missing, kept = (wanted[places] for places in choose_tiles(urgency, is_there, slots, most))
+        self._used_at[missing] = self._used_at[kept] = self.totals.turns
+        return missing, kept
 
     def _show_coming(self) -> None:
         """Tiles have come that were on their way."""
@@ -182,11 +186,11 @@ class TilePool:
         block, row = np.divmod(slots, self._per_block)
         return self._block_addresses[block] + (row * self._source.slot_bytes).astype(np.uint64)
 
-    def _fill(self, missing: np.ndarray, wanted: np.ndarray) -> None:
-        """Bring the tiles `missing`, into slots whose tile is none of `wanted`."""
+    def _fill(self, missing: np.ndarray, kept: np.ndarray) -> None:
+        """Bring the tiles `missing`, into slots whose tile is none of `kept`."""
         if not len(missing):
             return
-        slots = self._slots_for(len(missing), wanted)
+        slots = self._slots_for(len(missing), kept)
         left = self._tile_in[slots]
         left = left[left >= 0]
         self._slot_of[left], self._addresses[left] = -1, 0
@@ -204,11 +208,10 @@ class TilePool:
         self.totals.fetched += len(missing)
         self.totals.evicted += len(left)
 
-    def _slots_for(self, count: int, wanted: np.ndarray) -> np.ndarray:
-        """So many slots whose tile is none of `wanted`: empty ones, then those that were read the longest time ago."""
+    def _slots_for(self, count: int, kept: np.ndarray) -> np.ndarray:
+        """So many slots whose tile is none of `kept`: empty ones, then those that were read the longest time ago."""
         is_free = np.ones(len(self._tile_in), bool)
-        at = self._slot_of[wanted]
-        is_free[at[at >= 0]] = False
+        is_free[self._slot_of[kept]] = False
         free = np.flatnonzero(is_free)
         tiles = self._tile_in[free]
         age = np.where(tiles >= 0, self._used_at[tiles], -1)

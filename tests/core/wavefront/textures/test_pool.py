@@ -66,17 +66,18 @@ def test_where_room_lacks_the_next_rays_tiles_come_first_and_then_what_most_want
 
 
 def test_beside_a_turn_tiles_leave_at_once_and_are_shown_when_they_are_there(source):
-    pool = TilePool(source, 3)
+    pool = TilePool(source, 4)
     pool._carrier = TileCarrier(source)  # as on a GPU
+    wanted(pool, t1=(1, 0, 0), t2=(2, 0, 0), t3=(3, 0, 0))
+    assert not there(pool) and pool.totals.fetched == 2, "half of the slots at a time"
     wanted(pool, t1=(1, 0, 0), t2=(1, 0, 0), t3=(1, 0, 0))
-    assert not there(pool) and pool.totals.fetched == 3
-    wanted(pool, t1=(1, 0, 0), t2=(0, 1, 0), t4=(1, 0, 0))
-    shown = there(pool)
-    assert shown.items() <= {1: 1, 2: 2, 3: 3}.items() and len(shown) == 2 and shown.keys() >= {1, 2}
-    wanted(pool, t5=(1, 0, 0))
-    assert there(pool)[4] == 4 and 5 not in there(pool)
-    wanted(pool, t5=(1, 0, 1))
-    assert there(pool)[5] == 5 and pool.totals.fetched == 5
+    assert there(pool) == {2: 2, 3: 3}
+    wanted(pool, t2=(0, 1, 0), t4=(1, 0, 0), t5=(1, 0, 0))
+    assert there(pool) == {1: 1, 2: 2}, "the oldest left before its slot was written"
+    wanted(pool, t4=(1, 0, 0), t5=(1, 0, 0), t6=(1, 0, 1))
+    assert there(pool).items() >= {4: 4, 5: 5}.items() and 6 not in there(pool)
+    wanted(pool, t6=(1, 0, 1))
+    assert there(pool)[6] == 6 and pool.totals.fetched == 6
 
 
 def test_look_ups_of_tiles_that_are_not_there_are_counted(source):
