@@ -4,18 +4,18 @@ pictures that cannot be locked come by a buffer. Copies go on beside other kerne
 
 from __future__ import annotations
 
+import ctypes
+
 import numpy as np
 import warp as wp
 
 from ...device.kernel import KERNEL_OPTIONS
-from ...native.structs import record_type, upload_records
+from ...native.structs import record_type
 from ...shading.images.tiled.pictures import TileSource
 
-# Tiles of one launch: what is uploaded for them takes 2 MB
-_LAUNCHED = 1 << 15
-# Threads that copy, a quarter of a megabyte at a time: more than the bus brings in the two microseconds of a read, and
-# a few warps of each multiprocessor, which has room for others
-_THREADS = 1 << 16
+# Threads that copy, a quarter of a megabyte at a time: as fast as more of them (H200: 38 to 42 GB/s; half of them 25),
+# which would hold up what is traced meanwhile
+_THREADS = 1 << 14
 # Bytes of tiles in the buffer
 _STAGED_BYTES = 64 << 20
 _WORD_BYTES = 4
@@ -40,8 +40,8 @@ class TileCopy:
 class TileCarrier:
     """Carries tiles of a source to slots on its device; a CUDA device does other work meanwhile."""
 
-    def __init__(self, source: TileSource):
-        """All tiles of `source` are known, wherever they lie."""
+    def __init__(self, source: TileSource, capacity: int):
+        """All tiles of `source` are known, wherever they lie; at most `capacity` are carried together."""
         self._source, self._device = source, source.device
         self._stream = wp.Stream(self._device) if self._device.is_cuda else None
         tiles = np.setdiff1d(np.arange(source.number_count), source.rows)
@@ -50,40 +50,43 @@ class TileCarrier:
         self._records = np.zeros(source.number_count, located.dtype)
         self._sizes = np.zeros(source.number_count, np.int64)
         self._records[tiles], self._sizes[tiles] = located, sizes
-        self._copies: list[wp.array] = []  # what kernels under way read
+        # what is said of the tiles under way, and of those before them
+        self._on_host = [_records(capacity, wp.get_device("cpu"), self._device.is_cuda) for _ in range(2)]
+        self._on_device = [_records(capacity, self._device) for _ in range(2)]
+        self._turn = 0
 
     def __del__(self):
-        if getattr(self, "_copies", None) and self._stream:
+        if getattr(self, "_stream", None):
             wp.synchronize_stream(self._stream)  # slots are given back behind this
 
     def carry(self, numbers: np.ndarray, addresses: np.ndarray) -> int:
-        """Begin to copy the tiles `numbers` to slots at `addresses`, uint64, behind what the device was told before;
-        their bytes there.
+        """Begin to copy the tiles `numbers` to slots at `addresses`, uint64, which nobody reads any more, behind those
+        that were carried before; their bytes there. Of these only the last may still be under way.
         """
         records = self._records[numbers]
         records["target"] = addresses
         is_read = records["source"] != 0
-        self._launch(records[is_read])
         if not is_read.all():
             self._carry_staged(numbers[~is_read], records[~is_read])
+        self._launch(records[is_read])
         return int(self._sizes[numbers].sum())
 
     def wait(self) -> None:
         """What the device is told from now on comes when all of them are there."""
         if self._stream:
             self._device.stream.wait_event(self._stream.record_event())
-        self._copies = []  # what is given their memory comes behind that too
 
     def _launch(self, records: np.ndarray) -> None:
+        if not len(records):
+            return
+        self._turn ^= 1
+        on_host, on_device = (each[self._turn][: len(records)] for each in (self._on_host, self._on_device))
+        ctypes.memmove(on_host.ptr, np.ascontiguousarray(records).ctypes.data, records.nbytes)
+        wp.copy(on_device, on_host, stream=self._stream)
         words = self._source.slot_bytes // _WORD_BYTES
-        for first in range(0, len(records), _LAUNCHED):
-            copies = upload_records(records[first : first + _LAUNCHED], TileCopy, self._device)
-            if self._stream:
-                self._stream.wait_event(self._device.stream.record_event())
-            threads = min(_THREADS, len(copies) * words) if self._stream else 1
-            inputs = [copies, words.bit_length() - 1, threads]
-            wp.launch(carry_tiles_kernel, threads, inputs, device=self._device, stream=self._stream)
-            self._copies.append(copies)
+        threads = min(_THREADS, len(records) * words) if self._stream else 1
+        inputs = [on_device, words.bit_length() - 1, threads]
+        wp.launch(carry_tiles_kernel, threads, inputs, device=self._device, stream=self._stream)
 
     def _carry_staged(self, numbers: np.ndarray, records: np.ndarray) -> None:
         """Carry the tiles by a locked buffer, in which they lie as in their slots."""
@@ -101,6 +104,10 @@ class TileCarrier:
             self._launch(part)
             if self._stream:
                 wp.synchronize_stream(self._stream)  # before the buffer is written again, or freed
+
+
+def _records(count: int, device: wp.Device, pinned: bool = False) -> wp.array:
+    return wp.zeros(count, dtype=TileCopy, device=device, pinned=pinned)
 
 
 @wp.func

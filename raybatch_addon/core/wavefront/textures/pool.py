@@ -93,12 +93,15 @@ class TilePool:
     def __init__(self, source: TileSource, slots: int):
         """`slots` for tiles of `source`."""
         self._source, self._device, self._rows = source, source.device, source.rows
-        self._carrier = TileCarrier(source) if source.device.is_cuda else None
+        # half of the slots are filled while rays read the other half
+        self._most = max(1, slots // 2) if source.device.is_cuda else slots
+        self._carrier = TileCarrier(source, self._most) if source.device.is_cuda else None
         device, numbers, size = source.device, source.number_count, source.slot_bytes
         self._on_host = wp.zeros(numbers, dtype=wp.uint64, device="cpu", pinned=device.is_cuda)
         self._addresses = self._on_host.numpy()
         self._on_device = wp.zeros(numbers, dtype=wp.uint64, device=device)
         self._marks = wp.zeros(MARKS * numbers, dtype=int, device=device)
+        self._marks_host: wp.array | None = None  # where they are read one by one
         self._asked = wp.zeros(numbers, dtype=wp.uint8, device=device)
         self._asked_host = (
             wp.zeros(numbers, dtype=wp.uint8, device="cpu", pinned=True) if device.is_cuda else self._asked
@@ -158,20 +161,27 @@ class TilePool:
             wp.synchronize_stream(self._device.stream)
         rows = self._rows
         if asked[rows].any():
-            self.totals.lost += int(self._marks.numpy()[MARKS * rows + WANTED].sum())
+            self.totals.lost += int(self._all_marks()[rows, WANTED].sum())
             asked[rows] = 0
         return asked
+
+    def _all_marks(self) -> np.ndarray:
+        """Marks of all tiles, shape [n, MARKS]."""
+        if self._marks_host is None:
+            self._marks_host = wp.zeros_like(self._marks, device="cpu", pinned=self._device.is_cuda)
+        wp.copy(self._marks_host, self._marks)
+        if self._device.is_cuda:
+            wp.synchronize_stream(self._device.stream)
+        return self._marks_host.numpy().reshape(-1, MARKS)
 
     def _choose(self, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Of the tiles `wanted` those to bring, and those that stay."""
         is_there, slots = self._slot_of[wanted] >= 0, len(self._tile_in)
-        # half of the slots are filled while rays read the other half
-        most = max(1, slots // 2) if self._carrier else slots
         missing, kept = wanted[~is_there], wanted[is_there]
-        if len(wanted) > slots or len(missing) > most:
-            marks = self._marks.numpy().reshape(-1, MARKS)[wanted]
+        if len(wanted) > slots or len(missing) > self._most:
+            marks = self._all_marks()[wanted]
             urgency = urgency_of(marks[:, WANTED], marks[:, PINNED] != 0)
-            missing, kept = (wanted[places] for places in choose_tiles(urgency, is_there, slots, most))
+            missing, kept = (wanted[places] for places in choose_tiles(urgency, is_there, slots, self._most))
         self._used_at[missing] = self._used_at[kept] = self.totals.turns
         return missing, kept
 

@@ -34,12 +34,12 @@ def source_of(shapes, dtype, device, staged) -> TileSource:
 @pytest.mark.parametrize("staged", [False, True])
 @pytest.mark.parametrize("dtype, channels", KINDS)
 def test_carried_tiles_are_those_that_are_copied(dtype, channels, staged, device, monkeypatch):
-    monkeypatch.setattr(carry, "_LAUNCHED", 5)
+    monkeypatch.setattr(carry, "_THREADS", 100)
     monkeypatch.setattr(carry, "_STAGED_BYTES", 3 * SLOT)
     source = source_of([(37, 45, channels), (64, 33, channels)], dtype, device, staged)
     numbers = np.setdiff1d(np.arange(source.number_count), source.rows)[::-1].copy()
     slots = wp.zeros((len(numbers), SLOT), dtype=wp.uint8, device=device)
-    carrier = TileCarrier(source)
+    carrier = TileCarrier(source, len(numbers))
     carried = carrier.carry(numbers, slots.ptr + SLOT * np.arange(len(numbers), dtype=np.uint64))
     carrier.wait()
     copied = [(np.zeros(SLOT, np.uint8), np.full(SLOT, 255, np.uint8)) for _ in numbers]

@@ -67,7 +67,7 @@ def test_where_room_lacks_the_next_rays_tiles_come_first_and_then_what_most_want
 
 def test_beside_a_turn_tiles_leave_at_once_and_are_shown_when_they_are_there(source):
     pool = TilePool(source, 4)
-    pool._carrier = TileCarrier(source)  # as on a GPU
+    pool._carrier, pool._most = TileCarrier(source, 2), 2  # as on a GPU
     wanted(pool, t1=(1, 0, 0), t2=(2, 0, 0), t3=(3, 0, 0))
     assert not there(pool) and pool.totals.fetched == 2, "half of the slots at a time"
     wanted(pool, t1=(1, 0, 0), t2=(1, 0, 0), t3=(1, 0, 0))
