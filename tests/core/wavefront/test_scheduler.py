@@ -7,6 +7,8 @@ from hypothesis import strategies as st
 
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.scheduler import (
+    IMAGE_RAYS,
+    RAYS_MOST,
     WaterMarks,
     paths_a_worker,
     reduced_path_count,
@@ -68,6 +70,9 @@ def test_marks_below_the_low_water_fill_to_the_high():
 def test_ray_count_is_shared_by_the_workers():
     assert paths_a_worker(RenderSettings(ray_count=1000), 4, False) == 250
     assert paths_a_worker(RenderSettings(ray_count=1), 4, False) == 1
+    assert paths_a_worker(RenderSettings(ray_count=1000), 1, True, True, True) == 1000
+    assert paths_a_worker(RenderSettings(), 1, True, True) == RAYS_MOST[True]
+    assert paths_a_worker(RenderSettings(), 1, True, True, True) == IMAGE_RAYS
 
 
 def test_what_comes_to_a_gpu_serves_more_rays_and_larger_tiles():

@@ -96,7 +96,8 @@ def make_workers(
     in_tiles = scene.fetches is not None and scene.images.tiled is not None
     many = serves_many(paged, in_tiles, device.is_cuda)
     # no tile needs more paths than it has samples
-    asked = min(paths_a_worker(settings, workers, device.is_cuda, many), max(areas) * sample_count)
+    unfiltered = in_tiles and not paged and not scene.features.texture_levels
+    asked = min(paths_a_worker(settings, workers, device.is_cuda, many, unfiltered), max(areas) * sample_count)
     made.path_bytes = each = path_bytes(scene, frame, settings, asked)
     layout, slots, slot_bytes = layout_of(frame.passes, frame.transparent), 0, 0  # of tiles of images
     if in_tiles:
