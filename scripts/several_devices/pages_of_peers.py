@@ -32,8 +32,7 @@ from raybatch_addon.core.bvh.build.scene_tree import layout_for
 from raybatch_addon.core.bvh.memory import GeometrySize
 from raybatch_addon.core.bvh.pages.peers.access import let_read, why_apart
 from raybatch_addon.core.bvh.pages.store import page_buffer, page_rows
-from raybatch_addon.core.bvh.pages.transfer import copy_stream
-from raybatch_addon.core.device.devices import find_devices
+from raybatch_addon.core.device.devices import copy_stream, find_devices
 from raybatch_addon.core.film import Film
 from raybatch_addon.core.scene.description import Scene
 from raybatch_addon.core.session import Session
@@ -57,7 +56,7 @@ def copy_rates(devices: list[wp.Device]) -> dict[str, dict[str, float]]:
         return wp.array(ptr=owner.ptr, dtype=wp.uint8, shape=COPIED, device=devices[place])
 
     def rate(place: int, kind: str) -> float:
-        stream, given = copy_stream(devices[place].alias), source(place, kind)
+        stream, given = copy_stream(devices[place].alias, "pages"), source(place, kind)
         for count in (4, COPIES):
             wp.synchronize_stream(stream)
             start = time.perf_counter()

@@ -17,13 +17,13 @@ from ..device.devices import free_memory, total_memory
 from ..device.failures import check_device
 from ..errors import OutOfMemoryError, SceneError
 from ..scene.description import Mesh, Scene
+from ..scene.geometry import CORNERS_MOST
 from ..scene.linking import RAY_BITS
 from .build.cuda.build import BYTES_EACH
 from .node import Layout
 
-# Corners of triangles are counted in int32, and so are vertices
-TRIANGLES_MAX = (2**31 - 1) // 3
-VERTICES_MAX = 2**31 - 1
+# Triangles and vertices are counted in int32
+TRIANGLES_MAX = VERTICES_MAX = 2**31 - 1
 # [bytes]
 ROW = 12  # a triangle's indices, or a position
 NORMALS = 36  # of the corners of a triangle
@@ -137,19 +137,26 @@ def _vertices_of(mesh: Mesh) -> int:
     return len(mesh.positions) + len(mesh.triangles) * (mesh.radii is not None)
 
 
-def check_counts(size: GeometrySize, corners: bool = False) -> None:
-    """Raise `SceneError` for more than indices can name. `corners`: as for `with_motion`."""
+def check_counts(size: GeometrySize, paged: bool = False, corners: bool = False) -> None:
+    """Raise `SceneError` for more than indices can name. `paged`: trees are built part by part, so that nothing lists
+    the corners of all triangles, but for normals where there are some; `corners`: as for `with_motion`.
+    """
     cure, steps = "instances of one mesh in place of copies", " at all steps of motion blur"
     at_steps = max(size.step_normals, corners * size.step_triangles)
-    for count, most, what, other in (
-        (size.triangles, TRIANGLES_MAX, "triangles", cure),
+    most = TRIANGLES_MAX if paged and not size.smooth else CORNERS_MOST
+    if paged and size.smooth:
+        cure += ", or flat shading"
+    elif not paged:
+        cure += ", or a geometry_budget below what they take"
+    for count, at_most, what, other in (
+        (size.triangles, most, "triangles", cure),
         (size.vertices, VERTICES_MAX, "vertices", cure),
-        (size.triangles + at_steps, TRIANGLES_MAX, f"triangles{steps}", "fewer steps"),
+        (at_steps and size.triangles + at_steps, CORNERS_MOST, f"triangles{steps}", "fewer steps"),
         (size.vertices + size.step_vertices, VERTICES_MAX, f"vertices{steps}", "fewer steps"),
     ):
-        if count > most:
+        if count > at_most:
             raise SceneError(
-                f"the scene's meshes have {count:,} {what}, and a scene holds {most:,}; use fewer, or {other}"
+                f"the scene's meshes have {count:,} {what}, and a scene holds {at_most:,}; use fewer, or {other}"
             )
 
 

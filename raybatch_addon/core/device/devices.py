@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import functools
 import os
 import sys
@@ -261,3 +262,20 @@ def load_kernels(
                 on_module(done, len(unique))
     write_notes()
     return sorted(unique)
+
+
+@functools.cache
+def copy_stream(alias: str, what: str) -> wp.Stream:
+    """The stream that copies `what` to the CUDA device `alias`, and does not wait for the device's default stream.
+
+    Warp's own streams do: it frees memory on the default stream, and each such call would hold up tracing until all
+    copies that were begun are over. Where the driver gives no such stream, one of Warp's stands for it.
+    """
+    non_blocking = 1  # CU_STREAM_NON_BLOCKING of the driver
+    device = wp.get_device(alias)
+    with contextlib.suppress(OSError, AttributeError), device.context_guard:
+        driver = ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
+        handle = ctypes.c_void_p()
+        if driver.cuStreamCreate(ctypes.byref(handle), ctypes.c_uint(non_blocking)) == 0 and handle.value:
+            return wp.Stream(device, cuda_stream=handle.value)
+    return wp.Stream(device)

@@ -17,6 +17,8 @@ from .features import needs_instancing
 from .flatten import FlatGeometry
 
 mat34 = wp.types.matrix(shape=(3, 4), dtype=wp.float32)
+# Triangles whose corners an array can hold: its entries are counted in int32
+CORNERS_MOST = (2**31 - 1) // 3
 
 
 @wp.struct
@@ -94,28 +96,35 @@ def upload_geometry(
     """`flat`, the geometry of `scene`, on `device`.
 
     With `on_host` arrays that grow with the triangles stay in host memory, pinned for a CUDA device, which reads them
-    through the bus. There the corners of a triangle lie together, so that it takes two reads instead of five.
-    With `in_place` a CPU reads arrays where they lie: then nobody may change them as long as the result lives.
+    through the bus. There the corners of a triangle lie together where an array can hold all (`holds_corners`), so that
+    it takes two reads instead of five.
+    With `in_place` arrays are read where they lie: then nobody may change them as long as the result lives.
     """
     geometry = Geometry()
     geometry.instancing = int(needs_instancing(scene))
     triangles, positions = [("triangles", flat.triangles, wp.vec3i)], flat.positions
-    if on_host:
+    together = on_host and holds_corners(flat)
+    if together:
         triangles = [("triangles", flat.triangles[:0], wp.vec3i)]
         flat = replace(flat, positions=flat.positions[:0])
     per_mesh = [("mesh_triangle_first", flat.mesh_triangle_first, int), ("instance_mesh", flat.instance_mesh, int)]
     for name, values, dtype in triangles + per_mesh + _what_moves(flat, scene):
         stays = on_host and device.is_cuda and name in _BY_TRIANGLE
         if stays:
-            array = host_array(values, dtype, device)
+            array = readable(values, dtype, device) if in_place else host_array(values, dtype, device)
         elif in_place and device.is_cpu:
             array = wp.array(np.ascontiguousarray(values), dtype=dtype, device=device, copy=False)
         else:
             array = uploaded(values, dtype, device)
         setattr(geometry, name, array)
-    if on_host:
+    if together:
         geometry.positions = _corners(positions, flat.triangles, device)
     return geometry
+
+
+def holds_corners(flat: FlatGeometry) -> bool:
+    """Whether one array can hold the corners of all triangles."""
+    return len(flat.triangles) <= CORNERS_MOST
 
 
 def _corners(positions: np.ndarray, triangles: np.ndarray, device: wp.Device) -> wp.array:
@@ -140,6 +149,17 @@ def uploaded(values: np.ndarray, dtype: type, device: wp.Device) -> wp.array:
     out = wp.array(values, dtype=dtype, device=device) if there is None else there.to(device)
     wp.synchronize_stream(device.stream)  # what is locked is given back now, here or by another device
     return out
+
+
+def readable(values: np.ndarray, dtype: type, device: wp.Device) -> wp.array:
+    """An array that `device` reads where `values` lie; on CUDA they are locked as long as it lives, and copied where
+    they cannot be. Nobody may change them as long.
+    """
+    values = np.ascontiguousarray(values)
+    if not device.is_cuda:
+        return wp.array(values, dtype=dtype, device=device, copy=False)
+    there = locked_view(values, dtype, device)
+    return host_array(values, dtype, device) if there is None else there
 
 
 def host_array(values: np.ndarray, dtype: type, device: wp.Device) -> wp.array:

@@ -222,6 +222,11 @@ def test_more_than_indices_name():
         SceneError, match="1,073,741,826 triangles, and a scene holds 715,827,882; use fewer, or instances"
     ):
         check_counts(size)
+    check_counts(size, paged=True)
+    with pytest.raises(SceneError, match="holds 715,827,882; use fewer, .*, or flat shading"):
+        check_counts(dataclasses.replace(size, smooth=True), paged=True)
+    with pytest.raises(SceneError, match="2,147,483,648 triangles, and a scene holds 2,147,483,647"):
+        check_counts(dataclasses.replace(size, triangles=2**31), paged=True)
     with pytest.raises(SceneError, match="2,147,483,648 vertices"):
         check_counts(GeometrySize(1, 2**31, 1, False))
 

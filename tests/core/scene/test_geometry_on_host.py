@@ -13,7 +13,7 @@ from raybatch_addon.core.scene.geometry import host_array, upload_geometry, uplo
 from raybatch_addon.core.scene.moved import with_motion
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.scene import scene_cache
-from tests.support import scenes
+from tests.support import scenes, schedule_scenes
 from tests.support.schedule_scenes import living_scene
 
 
@@ -67,6 +67,19 @@ def test_large_arrays_reach_the_device_whole(locked_least, device, monkeypatch):
         assert len(each) == 0 or not np.array_equal(found.numpy(), each)
     if device.is_cuda:
         assert np.array_equal(wp.clone(host_array(values, wp.vec3, device)).numpy(), values)
+
+
+def test_where_no_array_holds_all_corners_there_are_indices(session, device, monkeypatch):
+    settings = schedule_scenes.ESTIMATOR.replace(geometry_budget=schedule_scenes.least_budget(device) + 1000)
+    made = schedule_scenes.SCENES["mixed"]()
+    expected = session.render(made, settings)
+    session.close()
+    monkeypatch.setattr(scene_geometry, "CORNERS_MOST", 10)
+    found = session.render(made, settings)
+    assert np.array_equal(found.passes["Combined"].view(np.int32), expected.passes["Combined"].view(np.int32))
+    flat = flatten(made)
+    geometry = upload_geometry(flat, made, wp.get_device(device), on_host=True)
+    assert (geometry.triangles.size, geometry.positions.size) == (len(flat.triangles), len(flat.positions))
 
 
 def test_slices_of_threads_make_no_difference(device, monkeypatch):

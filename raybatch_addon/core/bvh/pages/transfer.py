@@ -9,11 +9,7 @@ that runs for long.
 
 from __future__ import annotations
 
-import contextlib
-import ctypes
-import functools
 import queue
-import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Protocol
@@ -21,6 +17,7 @@ from typing import Protocol
 import numpy as np
 import warp as wp
 
+from ...device.devices import copy_stream
 from ...errors import OutOfMemoryError
 from .paged_scene import PagedScene
 from .store import bytes_of_rows, padded, page_buffer
@@ -166,7 +163,7 @@ class CudaTransfer:
 
     def __init__(self, scene: PagedScene, pool: wp.array, slot_bytes: int, device: wp.Device):
         self._scene, self._pool, self._slot_bytes, self._device = scene, pool, slot_bytes, device
-        self._stream = copy_stream(device.alias)
+        self._stream = copy_stream(device.alias, "pages")
         self._threads: ThreadPoolExecutor | None = None
         # buffers, and the mark behind what was last done with them, or None
         self._pinned: queue.SimpleQueue = queue.SimpleQueue()
@@ -240,20 +237,3 @@ class CudaTransfer:
         finally:
             # also where one of the threads closes, which cannot wait for itself: the pool may be freed now
             wp.synchronize_stream(self._stream)
-
-
-@functools.cache
-def copy_stream(alias: str) -> wp.Stream:
-    """The stream for copies to the CUDA device `alias`, which does not wait for the device's default stream.
-
-    Warp's own streams do: it frees memory on the default stream, and each such call would hold up tracing until all
-    copies that were begun are over. Where the driver gives no such stream, one of Warp's stands for it.
-    """
-    non_blocking = 1  # CU_STREAM_NON_BLOCKING of the driver
-    device = wp.get_device(alias)
-    with contextlib.suppress(OSError, AttributeError), device.context_guard:
-        driver = ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
-        handle = ctypes.c_void_p()
-        if driver.cuStreamCreate(ctypes.byref(handle), ctypes.c_uint(non_blocking)) == 0 and handle.value:
-            return wp.Stream(device, cuda_stream=handle.value)
-    return wp.Stream(device)

@@ -30,7 +30,7 @@ from ...programs.tiling import images_of_displacement
 from ...scene.description import Image, Scene
 from ...scene.flatten import FlatGeometry
 from ...scene.frozen import Same
-from ...scene.geometry import Geometry, update_geometry, upload_geometry
+from ...scene.geometry import Geometry, holds_corners, update_geometry, upload_geometry
 from ...scene.moved import with_motion
 from ...shading.images.image_upload import ImageCache, UploadedImages, device_bytes_of
 from ...shading.lights.choice_table import ChoiceTable, choice_tree_bytes
@@ -180,7 +180,7 @@ class SceneCache:
             return kept
         size = GeometrySize.of(scene)
         whole = request.plan.method is not Method.PAGED
-        check_counts(size, corners=device.is_cuda and not whole)
+        check_counts(size, paged=not whole, corners=device.is_cuda and not whole)
         asked = size, request.layout, device
         budget = None if whole else request.plan.geometry_budget
         check_memory(*asked, all_of_it=True, budget=budget)
@@ -336,13 +336,14 @@ def _build(
     paged = plan.method is Method.PAGED
     on_host = paged and device.is_cuda
     # of what is kept in pages nothing follows another frame in place
-    geometry = upload_geometry(with_motion(flat, corners=on_host), scene, device, on_host, in_place=paged)
+    together = on_host and holds_corners(flat)
+    geometry = upload_geometry(with_motion(flat, corners=together), scene, device, on_host, in_place=paged)
     if paged:
         asked: dict[str, Any] = dict(
             budget=plan.geometry_budget,
             rule=cut_rule(request.plan, request.settings),
             spatial_splits=settings.is_on("spatial_splits"),
-            corners=geometry.positions if device.is_cuda else None,
+            corners=geometry.positions if together else None,
             cancelled=request.cancelled,
         )
         if plan.geometry_store == "PEERS":
@@ -364,11 +365,8 @@ def _build(
             built=PagedTree(pages, Residency(pages, plan.geometry_budget, device)),
         )
     if plan.method is Method.REFERENCE:
-        return Kept(
-            fingerprint=fingerprint,
-            geometry=geometry,
-            built=build_reference(flat, visibility, request.instancing, device),
-        )
+        reference = build_reference(flat, visibility, request.instancing, device)
+        return Kept(fingerprint=fingerprint, geometry=geometry, built=reference)
     built = build_scene_tree(
         flat,
         geometry,

@@ -9,6 +9,7 @@ import ctypes
 import numpy as np
 import warp as wp
 
+from ...device.devices import copy_stream
 from ...device.kernel import KERNEL_OPTIONS
 from ...native.structs import record_type
 from ...shading.images.tiled.pictures import TileSource
@@ -43,7 +44,7 @@ class TileCarrier:
     def __init__(self, source: TileSource, capacity: int):
         """All tiles of `source` are known, wherever they lie; at most `capacity` are carried together."""
         self._source, self._device = source, source.device
-        self._stream = wp.Stream(self._device) if self._device.is_cuda else None
+        self._stream = copy_stream(self._device.alias, "tiles") if self._device.is_cuda else None
         tiles = np.setdiff1d(np.arange(source.number_count), source.rows)
         located = np.zeros(len(tiles), record_type(TileCopy))
         sizes = source.locate(tiles, located)

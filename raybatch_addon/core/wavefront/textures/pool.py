@@ -95,6 +95,7 @@ class TilePool:
         self._source, self._device, self._rows = source, source.device, source.rows
         # half of the slots are filled while rays read the other half
         self._most = max(1, slots // 2) if source.device.is_cuda else slots
+        # it is deleted before the slots, and waits for what is copied to them
         self._carrier = TileCarrier(source, self._most) if source.device.is_cuda else None
         device, numbers, size = source.device, source.number_count, source.slot_bytes
         self._on_host = wp.zeros(numbers, dtype=wp.uint64, device="cpu", pinned=device.is_cuda)

@@ -8,8 +8,7 @@ import numpy as np
 import warp as wp
 
 from ....device.kernel import KERNEL_OPTIONS
-from ....device.locked import locked_view
-from ....scene.geometry import host_array
+from ....scene.geometry import readable
 
 
 @wp.struct
@@ -160,8 +159,8 @@ def mesh_triangles(
     """
     mesh = MeshTriangles()
     mesh.corners = wp.empty(0, dtype=wp.vec3, device=device) if corners is None else corners
-    mesh.positions = _readable(positions if corners is None else positions[:0], wp.vec3, device)
-    mesh.triangles = _readable(triangles, wp.vec3i, device)
+    mesh.positions = readable(positions if corners is None else positions[:0], wp.vec3, device)
+    mesh.triangles = readable(triangles, wp.vec3i, device)
     return mesh
 
 
@@ -170,11 +169,3 @@ def mesh_from(every: MeshTriangles, first: int) -> MeshTriangles:
     mesh = MeshTriangles()
     mesh.positions, mesh.triangles, mesh.corners, mesh.first = every.positions, every.triangles, every.corners, first
     return mesh
-
-
-def _readable(values: np.ndarray, dtype: type, device: wp.Device) -> wp.array:
-    values = np.ascontiguousarray(values)
-    if not device.is_cuda:
-        return wp.array(values, dtype=dtype, device=device, copy=False)
-    there = locked_view(values, dtype, device)
-    return host_array(values, dtype, device) if there is None else there
