@@ -21,6 +21,10 @@ _SILENCED_BY: dict[str, tuple[tuple[str, set[str]], ...]] = {
     "denoise_quality": (_NOT_DENOISED,),
     # where no rays wait in queues
     "bucket_selection": (_NOT_BATCHED,),
+    "bucket_processors": (
+        _NOT_BATCHED,
+        ("bucket_selection", {"AUTO", "MOST_FULL", "NEXT", "RANDOM", "ALL", "BALANCED"}),
+    ),
     "bucket_wait_max": (_NOT_BATCHED,),
     "top_level_traversal": (_NOT_BATCHED,),
     "geometry_budget": (_NOT_BATCHED,),

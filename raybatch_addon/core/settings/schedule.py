@@ -180,7 +180,21 @@ class SchedulerSettings:
             ("NEXT", "Next", "The one behind the last, in turn, that is not empty"),
             ("RANDOM", "Random", "Any that is not empty, from random numbers that repeat"),
             ("ALL", "All", "Every bucket in each step, in one sorted sweep"),
+            ("LAZY", "Lazy", "A number of buckets at a time, each until no ray waits there; then the fullest"),
+            ("BALANCED", "Balanced", "In each step all buckets with more rays than the mean, so that none grows long"),
         ),
+    )
+    bucket_processors: int = setting(
+        0,
+        "Lazy Buckets",
+        "Buckets that Lazy serves at a time; {rest} takes one for each multiprocessor of a GPU, and one on a CPU",
+        group="SCHEDULER",
+        effect="schedule",
+        unit="buckets",
+        minimum=0,
+        maximum=2**16,
+        auto=0,
+        start=16,
     )
     bucket_wait_max: int = setting(
         0,

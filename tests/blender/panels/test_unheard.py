@@ -56,6 +56,7 @@ def test_a_setting_without_a_say_is_grey_and_the_reason_names_what_rules_it(scen
 def test_what_has_a_say_is_not_grey(scene):
     own = scene.raybatch
     own.adaptive_sampling, own.denoise, own.texture_filter, own.device = "ON", "ON", "FOOTPRINT", "AUTO"
+    own.bucket_selection = "LAZY"
     assert [name for name in SETTINGS if why_unheard(own, name)] == ["error_estimate"]
     own.device = "cpu, cuda:0"
     assert not any(why_unheard(own, name) for name in ("register_cap", "thread_count", "top_level_traversal"))

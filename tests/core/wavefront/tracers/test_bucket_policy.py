@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import warp as wp
 
+from raybatch_addon.core.wavefront.tracers.buckets.assigned.policies import ASSIGNMENTS
 from raybatch_addon.core.wavefront.tracers.buckets.blocks import OVERFLOW, STEP, WAITING
 from raybatch_addon.core.wavefront.tracers.buckets.policy import BucketChoice, BucketPolicy, Selection, Step
 from raybatch_addon.core.wavefront.tracers.buckets.policy_device import QUEUE, RULES, STEP_KIND, DevicePolicy
@@ -51,7 +52,7 @@ def test_random_depends_on_the_seed_and_meets_every_bucket():
     assert counts[[0, 1, 2, 4, 5, 6]].min() > 60  # of 100 expected; 5 sigma would be 54
 
 
-@pytest.mark.parametrize("selection", [each for each in Selection if each != Selection.ALL])
+@pytest.mark.parametrize("selection", [each for each in RULES if each != Selection.ALL])
 def test_no_ray_waits_longer_than_it_may(selection):
     """With new rays in front of every step, a queue that is never the fullest is served in time."""
     policy = BucketPolicy(selection, 10, 5, 30)
@@ -90,14 +91,14 @@ def test_a_selection_without_a_rule_is_refused():
     blocks = BucketQueues(4, 1, 1, 1, wp.get_device("cpu")).blocks
     with pytest.raises(ValueError, match="no rule for the selection"):
         DevicePolicy(len(Selection), 0, 0, 1, 0, blocks)
-    assert sorted(RULES) == list(Selection)
+    assert sorted([*RULES, *ASSIGNMENTS]) == list(Selection)
 
 
 WAYS = [("cpu", False), ("cpu", True)] + [(device.alias, True) for device in wp.get_cuda_devices()]
 
 
 @pytest.mark.parametrize("way", WAYS, ids=lambda way: f"{way[0]}-{'parallel' if way[1] else 'sequential'}")
-@pytest.mark.parametrize("selection", list(Selection))
+@pytest.mark.parametrize("selection", RULES)
 @pytest.mark.parametrize("bucket_count", [1, 9, 5000])
 def test_the_twin_chooses_the_same(way, selection, bucket_count):
     device, parallel = wp.get_device(way[0]), way[1]

@@ -1,6 +1,6 @@
 """Which queue is served next: the specification, in plain Python, which tests hold `policy_device.py` to.
 
-Renders run `policy_device.py` alone, on CPUs and on CUDA.
+Renders run `policy_device.py` alone, on CPUs and on CUDA, but for policies that serve several buckets (`assigned`).
 
 Bucket b stands for treelet b, and bucket `bucket_count` for the root. Bucket b has the entry queue 2 b and the exit
 queue 2 b + 1. The root's exit queue holds rays that have not begun; its entry queue those that are done, which are
@@ -58,6 +58,8 @@ class Selection(IntEnum):
     NEXT = 1  # the next after the last one that has any
     RANDOM = 2  # any of those that have any
     ALL = 3  # all of them, in one sweep
+    LAZY = 4  # some, each until no ray waits there (`assigned/lazy.py`)
+    BALANCED = 5  # all with more rays than the mean (`assigned/balanced.py`)
 
 
 class Step(IntEnum):
@@ -68,6 +70,7 @@ class Step(IntEnum):
     TREELET = 2  # an entry queue visits its treelet
     SWEEP = 3  # all entry queues do, and then all exit queues
     UNBATCHED = 4  # too few rays wait: they go on alone
+    SOME = 5  # queues of several buckets (`assigned/steps.py`)
 
 
 @dataclass(frozen=True)

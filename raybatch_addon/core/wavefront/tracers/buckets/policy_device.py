@@ -20,7 +20,7 @@ SIZES = (1024, 64, 8, 1)
 # Threads at most
 _THREADS = 4096
 
-# Selections with a rule here: all but ALL, which serves every bucket, in `bucket_key`, and ALL in `decide`
+# Selections with a rule here: in `bucket_key`, but for ALL, which serves every bucket, in `decide`
 RULES = (Selection.MOST_FULL, Selection.NEXT, Selection.RANDOM, Selection.ALL)
 _MOST_FULL, _NEXT, _RANDOM, _ALL = (wp.constant(int(each)) for each in RULES)
 _NOTHING, _TOP, _TREELET = (wp.constant(int(each)) for each in (Step.NOTHING, Step.TOP, Step.TREELET))

@@ -1,8 +1,8 @@
 """The tracer that batches: rays wait in buckets at treelets and visit them together.
 
-A step serves queues that the policy chooses (`policy.py`): rays of an entry queue visit their treelet, rays of
-an exit queue go on through the top level. On the CPU, and for ALL, the host leads from step to step; on CUDA a captured
-loop does without it.
+A step serves queues that the policy chooses (`policy.py`, `assigned`): rays of an entry queue visit their treelet, rays
+of an exit queue go on through the top level. On the CPU, and where a step serves several buckets, the host leads from
+step to step; on CUDA a captured loop does without it.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ from ...plan.launch import Launch
 from ...rays import trail_words
 from ..visit import VisitStage, visit_stage
 from ..worker_rays import WorkerRays
+from .assigned.policies import ASSIGNMENTS
+from .assigned.steps import AssignedSteps, next_step_kernel
 from .blocks import STEP, pool_bytes, pool_size
 from .device_loop import LOOP_KERNELS, DeviceLoop
 from .finished import SPLIT_KERNELS, FinishedLists
@@ -80,8 +82,12 @@ def batching_kernels(
 ) -> list[wp.Kernel]:
     """What a `BatchingTracer` launches, to be compiled ahead."""
     stages = visit_stages(layout, instancing, counters, settings, curves, moving)
-    kernels = [*queue_kernels(device), *policy_kernels(device), *SPLIT_KERNELS]
-    kernels += LOOP_KERNELS if device.is_cuda else [host_step_kernel]
+    kernels = [*queue_kernels(device), *SPLIT_KERNELS]
+    if selection_of(settings, device.is_cuda) in ASSIGNMENTS:
+        kernels.append(next_step_kernel)
+    else:
+        kernels += policy_kernels(device)
+        kernels += LOOP_KERNELS if device.is_cuda else [host_step_kernel]
     kernels += STORAGES[settings.ray_storage].kernels
     return kernels + [kernel for stage in stages.values() for kernel in stage.kernels]
 
@@ -96,6 +102,11 @@ def batching_bytes_per_path(
     storage = STORAGES[settings.ray_storage]
     stored = storage.bytes_per_slot(progress_bytes, instancing, moving, size.entry_count / many)
     return math.ceil((1 + shadow_rays) * (stored + pool_bytes(size, queues, is_cuda) / many))
+
+
+def processor_count(settings: RenderSettings, device: wp.Device) -> int:
+    """Buckets that LAZY serves at a time."""
+    return settings.bucket_processors or (device.sm_count if device.is_cuda else 1)
 
 
 def few_rays(selection: Selection, is_cuda: bool) -> int:
@@ -157,16 +168,7 @@ class BatchingTracer:
             counts=counts,
         )
         self._finished = FinishedLists(self._queues.capacity, worker.path_count, worker.shadow_kind, device)
-        policy = DevicePolicy(
-            self._selection,
-            wait_max=settings.bucket_wait_max,
-            seed=settings.seed,
-            bucket_count=treelet_tree.treelet_count,
-            rays_few=few_rays(self._selection, device.is_cuda) if rays_few is None else rays_few,
-            blocks=self._queues.blocks,
-            parallel=parallel,
-            capacity=self._queues.capacity,
-        )
+        rays_few = few_rays(self._selection, device.is_cuda) if rays_few is None else rays_few
         is_given = stages is not None  # and so are their kernels, which are loaded already
         if stages is None:
             stages = visit_stages(treelet_tree.layout, instancing, counts is not None, settings, curves, moving)
@@ -174,9 +176,34 @@ class BatchingTracer:
             stage.prepare(device)
         served = treelet_tree, stages, self._queues, self._storage, self._numbers
         self._server = QueueServer(*served, worker.timer)
+        self._totals = BatchingTotals(block_count=self._queues.size.block_count)
+        self._made_at = time.perf_counter()
+        self._step = self._host_steps = self._forgotten = self._forgotten_done = 0
+        self._notes, self._note_every = 0, 1
+        self._steps: Steps
+        if assigned := ASSIGNMENTS.get(self._selection):
+            self._steps = AssignedSteps(
+                assigned(processor_count(settings, device)),
+                self._queues,
+                self._server,
+                worker.timer,
+                numbers=self._numbers,
+                wait_max=settings.bucket_wait_max,
+                rays_few=rays_few,
+            )
+            return
+        policy = DevicePolicy(
+            self._selection,
+            wait_max=settings.bucket_wait_max,
+            seed=settings.seed,
+            bucket_count=treelet_tree.treelet_count,
+            rays_few=rays_few,
+            blocks=self._queues.blocks,
+            parallel=parallel,
+            capacity=self._queues.capacity,
+        )
         led = policy, self._server, worker.timer
         parallel_queues, is_stepwise = self._queues.parallel_queues, self._selection != Selection.ALL and not debug
-        self._steps: Steps
         if is_stepwise and parallel_queues and counts is None:
             untimed = QueueServer(*served, NoTimer())  # the loop is timed as one
             launched = treelet_tree.layout, instancing, False, settings, device, curves, moving
@@ -186,10 +213,6 @@ class BatchingTracer:
             self._steps = FusedSteps(*led, self._queues, self._rules)
         else:
             self._steps = LaunchedSteps(*led)
-        self._totals = BatchingTotals(block_count=self._queues.size.block_count)
-        self._made_at = time.perf_counter()
-        self._step = self._host_steps = self._forgotten = self._forgotten_done = 0
-        self._notes, self._note_every = 0, 1
 
     # --- the interface
 
