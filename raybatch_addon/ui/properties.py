@@ -83,7 +83,10 @@ def _switch(info: SettingInfo):
         value = getattr(properties, info.name)
         if info.is_switch:
             return value == "ON"
-        return value != info.off if info.auto is None else str(value) == str(info.auto)
+        if info.auto is not None:
+            return str(value) == str(info.auto)
+        # a number of bytes is kept as text
+        return str(value) != str(info.off) if info.unit == BYTES else value != info.off
 
     def put(properties, checked: bool) -> None:
         if info.is_switch:

@@ -209,6 +209,19 @@ class SchedulerSettings:
         off=0,
         start=64,
     )
+    treelet_cache: int = setting(
+        0,
+        "Cached",
+        "Memory of the treelets visited last, through which rays go on without waiting, as if a cache held them; with "
+        "{rest} they wait at each treelet",
+        group="SCHEDULER",
+        effect="schedule",
+        unit=BYTES,
+        minimum=0,
+        maximum=INT_MAX,
+        off=0,
+        start=2**25,
+    )
     top_level_traversal: str = setting(
         "NAIVE",
         "Top Level",

@@ -189,6 +189,9 @@ def test_segments_and_things_that_move(name, layout, storage, shadow_kind):
         {"warp_count": 1},
         {"counters": True},
         {"top_level_traversal": "INTERLOCKED"},
+        {"treelet_cache": 1},
+        {"treelet_cache": 4000, "bucket_selection": "LAZY", "bucket_processors": 3},
+        {"treelet_cache": 10**9, "bucket_selection": "ALL", "bucket_wait_max": 3},
         {"block_size": 64, "register_cap": 64},
         {"shared": False},
     ],
@@ -197,6 +200,15 @@ def test_segments_and_things_that_move(name, layout, storage, shadow_kind):
 def test_settings_change_no_hit(settings, layout, storage):
     totals = compare("instances", layout, RayKind.OCCLUSION, PARALLEL[-1], ray_storage=storage, **settings)
     assert (totals.rays_unbatched > 0) == ("rays_few" in settings)
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_rays_that_pass_at_once_are_queued_less_often(layout):
+    queued = [
+        compare("instances", layout, RayKind.OCCLUSION, PARALLEL[-1], treelet_cache=cache).rays_queued
+        for cache in (0, 1, 4000, 10**9)
+    ]
+    assert queued == sorted(queued, reverse=True) and queued[0] > queued[1] > queued[3]
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from raybatch_addon.core.wavefront.tracers.buckets.assigned.policies import ASSIGNMENTS
+from raybatch_addon.core.wavefront.tracers.buckets.assigned.policies import SEVERAL, assignment_of
 from raybatch_addon.core.wavefront.tracers.buckets.blocks import OVERFLOW, STEP, WAITING
 from raybatch_addon.core.wavefront.tracers.buckets.policy import BucketChoice, BucketPolicy, Selection, Step
 from raybatch_addon.core.wavefront.tracers.buckets.policy_device import QUEUE, RULES, STEP_KIND, DevicePolicy
@@ -91,7 +91,20 @@ def test_a_selection_without_a_rule_is_refused():
     blocks = BucketQueues(4, 1, 1, 1, wp.get_device("cpu")).blocks
     with pytest.raises(ValueError, match="no rule for the selection"):
         DevicePolicy(len(Selection), 0, 0, 1, 0, blocks)
-    assert sorted([*RULES, *ASSIGNMENTS]) == list(Selection)
+    with pytest.raises(ValueError, match="no policy for the selection"):
+        assignment_of(len(Selection), 1, 0)
+    assert sorted([*RULES, *SEVERAL]) == list(Selection)
+
+
+@pytest.mark.parametrize("selection", [each for each in RULES if each != Selection.ALL])
+def test_policies_that_the_host_asks_choose_the_same(selection):
+    policy, asked = BucketPolicy(selection, 0, 7, 30), assignment_of(selection, 1, 7)
+    random = np.random.default_rng(1)
+    for step in range(50):
+        counts = random.integers(0, 9, 62) * (random.random(62) < 0.2)
+        counts[60], counts[random.integers(60)] = 0, 1
+        expected = policy.choose(counts.tolist(), [0] * 62, step).queue // 2
+        assert asked.choose(counts[0::2] + counts[1::2]).tolist() == [expected]
 
 
 WAYS = [("cpu", False), ("cpu", True)] + [(device.alias, True) for device in wp.get_cuda_devices()]

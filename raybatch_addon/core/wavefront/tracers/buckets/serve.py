@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from ....bvh.traverse.task import VisitTask
+from ....bvh.tree import Treelets
 from ....bvh.treelets.tree import TreeletTree
 from ....measure.timing import NoTimer, StageTimer
 from ....rays import RayList
@@ -66,6 +67,17 @@ class QueueServer:
         # all rays fit a batch: behind their treelet they go on through the top level at once
         batch = self._take(self._numbers.entries, amount)
         self.trace(batch, VisitTask.TREELET, VisitTask.TOP)
+        self._put(self._rules.entry)
+
+    def go_on(self, queues: Sequence[int], amount: int, there: Treelets) -> None:
+        """Rays of `queues`, `amount` at most, begin or enter their treelets, and go on through all that is `there`,
+        until they come to a treelet that is not.
+        """
+        batch, storage = self._take(queues, amount), self._storage
+        with self._timer.stage("treelet"):
+            self._stages[VisitTask.GO_ON].launch(
+                self._tree, there, storage.rays, storage.progress, batch, storage.any_first, storage.counts
+            )
         self._put(self._rules.entry)
 
     def finish_all(self) -> int:

@@ -25,7 +25,8 @@ from ...plan.launch import Launch
 from ...rays import trail_words
 from ..visit import VisitStage, visit_stage
 from ..worker_rays import WorkerRays
-from .assigned.policies import ASSIGNMENTS
+from .assigned.immediate import ImmediateSteps, RecentTreelets, show_kernel
+from .assigned.policies import SEVERAL, assignment_of
 from .assigned.steps import AssignedSteps, next_step_kernel
 from .blocks import STEP, pool_bytes, pool_size
 from .device_loop import LOOP_KERNELS, DeviceLoop
@@ -83,8 +84,8 @@ def batching_kernels(
     """What a `BatchingTracer` launches, to be compiled ahead."""
     stages = visit_stages(layout, instancing, counters, settings, curves, moving)
     kernels = [*queue_kernels(device), *SPLIT_KERNELS]
-    if selection_of(settings, device.is_cuda) in ASSIGNMENTS:
-        kernels.append(next_step_kernel)
+    if host_chooses(settings, device.is_cuda):
+        kernels += [next_step_kernel, show_kernel] if settings.treelet_cache else [next_step_kernel]
     else:
         kernels += policy_kernels(device)
         kernels += LOOP_KERNELS if device.is_cuda else [host_step_kernel]
@@ -102,6 +103,11 @@ def batching_bytes_per_path(
     storage = STORAGES[settings.ray_storage]
     stored = storage.bytes_per_slot(progress_bytes, instancing, moving, size.entry_count / many)
     return math.ceil((1 + shadow_rays) * (stored + pool_bytes(size, queues, is_cuda) / many))
+
+
+def host_chooses(settings: RenderSettings, is_cuda: bool) -> bool:
+    """Whether the host is asked in each step which buckets are served."""
+    return settings.treelet_cache > 0 or selection_of(settings, is_cuda) in SEVERAL
 
 
 def processor_count(settings: RenderSettings, device: wp.Device) -> int:
@@ -181,16 +187,15 @@ class BatchingTracer:
         self._step = self._host_steps = self._forgotten = self._forgotten_done = 0
         self._notes, self._note_every = 0, 1
         self._steps: Steps
-        if assigned := ASSIGNMENTS.get(self._selection):
-            self._steps = AssignedSteps(
-                assigned(processor_count(settings, device)),
-                self._queues,
-                self._server,
-                worker.timer,
-                numbers=self._numbers,
-                wait_max=settings.bucket_wait_max,
-                rays_few=rays_few,
-            )
+        if host_chooses(settings, device.is_cuda):
+            asked = assignment_of(self._selection, processor_count(settings, device), settings.seed)
+            rules = {"numbers": self._numbers, "wait_max": settings.bucket_wait_max, "rays_few": rays_few}
+            served_by = asked, self._queues, self._server, worker.timer
+            if settings.treelet_cache:
+                recent = RecentTreelets(treelet_tree.treelets, treelet_tree.treelet_bytes, settings.treelet_cache)
+                self._steps = ImmediateSteps(recent, *served_by, **rules)
+            else:
+                self._steps = AssignedSteps(*served_by, **rules)
             return
         policy = DevicePolicy(
             self._selection,

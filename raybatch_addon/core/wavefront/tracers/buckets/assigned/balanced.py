@@ -12,9 +12,6 @@ class Balanced:
     The thesis gives no target. Here it is the mean of those that are not empty: some bucket always has as many.
     """
 
-    def __init__(self, _processors: int):
-        """However many processors there are: rays of all that are served share them."""
-
     def choose(self, loads: np.ndarray) -> np.ndarray:
         """See `Assignment.choose`."""
         waiting = np.count_nonzero(loads)

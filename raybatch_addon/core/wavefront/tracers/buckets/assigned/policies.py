@@ -1,25 +1,33 @@
-"""What a policy of several buckets is, and which there are."""
+"""Which policies there are that the host asks."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Protocol
-
-import numpy as np
-
 from ..policy import Selection
 from .balanced import Balanced
+from .drawn import Drawn
+from .every import Every
+from .fullest import Fullest
+from .in_turn import InTurn
+from .interface import Assignment
 from .lazy import Lazy
 
-
-class Assignment(Protocol):
-    """Chooses step by step."""
-
-    def choose(self, loads: np.ndarray) -> np.ndarray:
-        """Buckets that are served next, numbers that rise, at least one; `loads` [buckets] are the rays that wait in
-        each, of which some do.
-        """
+SEVERAL = (Selection.LAZY, Selection.BALANCED)
+"""Selections that serve several buckets in a step, which the device does not choose by itself."""
 
 
-ASSIGNMENTS: dict[Selection, Callable[[int], Assignment]] = {Selection.LAZY: Lazy, Selection.BALANCED: Balanced}
-"""Makers of policies for so many processors, by selection; the others serve one bucket in a step, or all."""
+def assignment_of(selection: Selection, processors: int, seed: int) -> Assignment:
+    """The policy of `selection`: for so many `processors` (LAZY), with the random numbers of `seed` (RANDOM)."""
+    match selection:
+        case Selection.MOST_FULL:
+            return Fullest()
+        case Selection.NEXT:
+            return InTurn()
+        case Selection.RANDOM:
+            return Drawn(seed)
+        case Selection.ALL:
+            return Every()
+        case Selection.LAZY:
+            return Lazy(processors)
+        case Selection.BALANCED:
+            return Balanced()
+    raise ValueError(f"there is no policy for the selection {selection!r}: add one here and in `policy.py`")

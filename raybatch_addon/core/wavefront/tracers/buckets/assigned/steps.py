@@ -12,7 +12,7 @@ from ..policy import QueueNumbers, Step
 from ..policy_device import AMOUNT, BUDGET, CHOICE_SIZE, QUEUE, STEP_KIND
 from ..queues import BucketQueues
 from ..serve import QueueServer
-from .policies import Assignment
+from .interface import Assignment
 
 
 @wp.kernel(**KERNEL_OPTIONS)
