@@ -27,6 +27,7 @@ _SILENCED_BY: dict[str, tuple[tuple[str, set[str]], ...]] = {
     ),
     "bucket_wait_max": (_NOT_BATCHED,),
     "treelet_cache": (_NOT_BATCHED,),
+    "treelet_prefetch": (_NOT_BATCHED,),
     "top_level_traversal": (_NOT_BATCHED,),
     "geometry_budget": (_NOT_BATCHED,),
     "geometry_store": (_NOT_BATCHED,),

@@ -222,6 +222,17 @@ class SchedulerSettings:
         off=0,
         start=2**25,
     )
+    treelet_prefetch: str = setting(
+        "OFF",
+        "Prefetch",
+        "Ask for the treelets that most rays wait for, while rays visit others",
+        group="SCHEDULER",
+        effect="schedule",
+        choices=(
+            ("OFF", "Off", "Treelets come to caches when rays read them"),
+            ("ON", "On", "Treelets that are likely next are brought to the caches before"),
+        ),
+    )
     top_level_traversal: str = setting(
         "NAIVE",
         "Top Level",

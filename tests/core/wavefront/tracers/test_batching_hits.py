@@ -19,6 +19,7 @@ from raybatch_addon.core.scene.geometry import upload_geometry
 from raybatch_addon.core.scene.moved import with_motion
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.rays import RayNeeds, allocate_rays
+from raybatch_addon.core.wavefront.tracers.buckets.assigned.prefetch import TreeletPrefetch
 from raybatch_addon.core.wavefront.tracers.buckets.tracer import (
     BatchingTracer,
     batching_bytes_per_path,
@@ -190,6 +191,7 @@ def test_segments_and_things_that_move(name, layout, storage, shadow_kind):
         {"counters": True},
         {"top_level_traversal": "INTERLOCKED"},
         {"treelet_cache": 1},
+        {"treelet_prefetch": "ON"},
         {"treelet_cache": 4000, "bucket_selection": "LAZY", "bucket_processors": 3},
         {"treelet_cache": 10**9, "bucket_selection": "ALL", "bucket_wait_max": 3},
         {"block_size": 64, "register_cap": 64},
@@ -209,6 +211,17 @@ def test_rays_that_pass_at_once_are_queued_less_often(layout):
         for cache in (0, 1, 4000, 10**9)
     ]
     assert queued == sorted(queued, reverse=True) and queued[0] > queued[1] > queued[3]
+
+
+def test_the_fullest_treelets_that_are_not_served_are_asked_for():
+    tree = cut_case("instances", Layout.QUANTISED)[1]
+    prefetch, loads = TreeletPrefetch(tree), np.zeros(tree.treelet_count + 1, int)
+    assert tree.treelet_count > 5
+    loads[[1, 2, 4, 5]] = 7, 9, 30, 2
+    loads[-1] = 99  # new rays
+    assert prefetch.ask(loads, np.array([4, tree.treelet_count])).tolist() == [2, 1]
+    assert prefetch.ask(loads, np.array([4])).tolist() == [2]
+    assert prefetch.ask(loads * 0, np.array([0])).tolist() == []
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)

@@ -27,6 +27,7 @@ from ..visit import VisitStage, visit_stage
 from ..worker_rays import WorkerRays
 from .assigned.immediate import ImmediateSteps, RecentTreelets, show_kernel
 from .assigned.policies import SEVERAL, assignment_of
+from .assigned.prefetch import TreeletPrefetch, prefetch_kernel
 from .assigned.steps import AssignedSteps, next_step_kernel
 from .blocks import STEP, pool_bytes, pool_size
 from .device_loop import LOOP_KERNELS, DeviceLoop
@@ -85,7 +86,9 @@ def batching_kernels(
     stages = visit_stages(layout, instancing, counters, settings, curves, moving)
     kernels = [*queue_kernels(device), *SPLIT_KERNELS]
     if host_chooses(settings, device.is_cuda):
-        kernels += [next_step_kernel, show_kernel] if settings.treelet_cache else [next_step_kernel]
+        kernels.append(next_step_kernel)
+        kernels += [show_kernel] if settings.treelet_cache else []
+        kernels += [prefetch_kernel] if settings.is_on("treelet_prefetch") else []
     else:
         kernels += policy_kernels(device)
         kernels += LOOP_KERNELS if device.is_cuda else [host_step_kernel]
@@ -107,7 +110,8 @@ def batching_bytes_per_path(
 
 def host_chooses(settings: RenderSettings, is_cuda: bool) -> bool:
     """Whether the host is asked in each step which buckets are served."""
-    return settings.treelet_cache > 0 or selection_of(settings, is_cuda) in SEVERAL
+    helped = settings.treelet_cache > 0 or settings.is_on("treelet_prefetch")
+    return helped or selection_of(settings, is_cuda) in SEVERAL
 
 
 def processor_count(settings: RenderSettings, device: wp.Device) -> int:
@@ -189,7 +193,9 @@ class BatchingTracer:
         self._steps: Steps
         if host_chooses(settings, device.is_cuda):
             asked = assignment_of(self._selection, processor_count(settings, device), settings.seed)
+            prefetch = TreeletPrefetch(treelet_tree) if settings.is_on("treelet_prefetch") else None
             rules = {"numbers": self._numbers, "wait_max": settings.bucket_wait_max, "rays_few": rays_few}
+            rules["prefetch"] = prefetch
             served_by = asked, self._queues, self._server, worker.timer
             if settings.treelet_cache:
                 recent = RecentTreelets(treelet_tree.treelets, treelet_tree.treelet_bytes, settings.treelet_cache)

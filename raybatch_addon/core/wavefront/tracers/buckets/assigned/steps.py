@@ -13,6 +13,7 @@ from ..policy_device import AMOUNT, BUDGET, CHOICE_SIZE, QUEUE, STEP_KIND
 from ..queues import BucketQueues
 from ..serve import QueueServer
 from .interface import Assignment
+from .prefetch import TreeletPrefetch
 
 
 @wp.kernel(**KERNEL_OPTIONS)
@@ -34,10 +35,11 @@ class AssignedSteps:
         numbers: QueueNumbers,
         wait_max: int,
         rays_few: int,
+        prefetch: TreeletPrefetch | None = None,
     ):
-        """`wait_max` and `rays_few` are those of `BucketPolicy`."""
+        """`wait_max` and `rays_few` are those of `BucketPolicy`; `prefetch` is told what is served."""
         self._policy, self._queues, self._server, self._timer = policy, queues, server, timer
-        self._numbers, self._wait_max, self._rays_few = numbers, wait_max, rays_few
+        self._numbers, self._wait_max, self._rays_few, self._prefetch = numbers, wait_max, rays_few, prefetch
         self._target = 1
         self._served: list[tuple[Step, list[int], int]] = []
 
@@ -63,6 +65,8 @@ class AssignedSteps:
             return choice
         choice[STEP_KIND] = Step.SOME
         chosen = np.union1d(self._fuller_queues(counts, self._policy.choose(loads)), self._urgent_queues(counts, loads))
+        if self._prefetch:
+            self._prefetch.ask(loads, np.unique(chosen // 2))
         self._served = [
             (step, queues.tolist(), int(counts[queues].sum()))
             for step, queues in ((Step.TREELET, chosen[chosen % 2 == 0]), (Step.TOP, chosen[chosen % 2 == 1]))
