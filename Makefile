@@ -26,6 +26,8 @@ COMPILE_AHEAD ?= wait
 
 venv_python := $(VENV)/bin/python
 export PYTHON VENV
+# many processes run the same modules: each would compile their sources anew
+unexport PYTHONDONTWRITEBYTECODE
 
 sources := raybatch_addon scripts tests
 native_headers = $(shell find raybatch_addon/core/native -name '*.h' 2>/dev/null)

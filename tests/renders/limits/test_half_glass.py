@@ -44,10 +44,16 @@ def mean(session, sample_count, **settings):
 
 
 def reflected_share() -> float:
-    """Share of diffuse light from below that the glass reflects; its lower side is its inside."""
-    nodes, weights = np.polynomial.legendre.leggauss(4000)
-    cosine = (nodes + 1) / 2
-    return float(np.sum(weights / 2 * 2 * cosine * reflectance(cosine, 1 / IOR)))
+    """Share of diffuse light from below that the glass reflects; its lower side is its inside.
+
+    Beyond the critical angle all is reflected. Below it, the integral is over the cosine behind the glass, in which it
+    is smooth.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(64)
+    behind = (nodes + 1) / 2
+    before = np.sqrt(1 - (1 - behind**2) / IOR**2)
+    beyond = 1 - 1 / IOR**2
+    return float(beyond + np.sum(weights * behind / IOR**2 * reflectance(before, 1 / IOR)))
 
 
 @pytest.mark.parametrize("nee", thorough_but(["ON"], ["OFF", "ON"]))
