@@ -189,6 +189,15 @@ class Connection:
         """The future of `value`, in the memory of `worker`."""
         return self._client.scatter(value, workers=[worker], hash=False, direct=False)
 
+    def failed_on(self, future: Any) -> str:
+        """The host that is at fault for the error of `future`, for its disk, its memory, or what is installed there;
+        empty where none is.
+        """
+        if future.status == "error" and isinstance(future.exception(), (OSError, MemoryError, ImportError)):
+            with contextlib.suppress(OSError, TimeoutError, RuntimeError):
+                return next(iter(self._client.run_on_scheduler(calls.failed_on, future.key)), "")
+        return ""
+
     def secure(self, future: Any) -> None:
         """Have two workers hold what `future` is of, where there are two: the end of one then loses nothing. Waits."""
         if len(self.workers()) > 1:
@@ -209,6 +218,8 @@ def why_lost(future: Any) -> str:
     error = future.exception()
     if type(error).__name__ == "KilledWorker":
         return "the workers that rendered it ended, one after the other; do they run out of memory?"
+    if type(error) is OSError and error.errno is None:  # by `calls.call`: a sentence of its own
+        return str(error)
     return f"{type(error).__name__}: {error}"
 
 
