@@ -145,7 +145,6 @@ class ClusterRender:
         """See what came; raises `ClusterError`."""
         self.workers = self._connection.workers()
         self.events.see_workers((each.address for each in self.workers), self._connection.silent)
-        self.left_out.see({each.host for each in self.workers if each.slots})
         self._staging.step(self.workers)
         self._see_lost({each.host for each in self.workers})
         self._see_tasks()
@@ -250,14 +249,12 @@ class ClusterRender:
         self._render_again(task.samples, task.futures)
 
     def _blame(self, future: Any, samples: SampleRange, why: str) -> None:
-        """Count a failure against the machine that is at fault; where none is, against `samples`."""
+        """Count a failure against the machine that is at fault; where none is, against `samples`. Raises `ClusterError`
+        where these failed too often.
+        """
         if host := self._connection.failed_on(future):
             self.left_out.count(host, f"{host} cannot do its part: {why}")
-        else:
-            self._count_failure(samples, why)
-
-    def _count_failure(self, samples: SampleRange, why: str) -> None:
-        """Raises `ClusterError` where `samples` failed too often."""
+            return
         self._failures[samples] = self._failures.get(samples, 0) + 1
         if self._failures[samples] >= _TRIES:
             raise ClusterError(f"samples {samples.first} to {samples.end - 1} could not be rendered: {why}")
@@ -286,13 +283,13 @@ class ClusterRender:
                 self._add(film)
 
     def _merge_again(self, film: _Film) -> None:
-        """It is not there: those that it is of are merged by another machine, or rendered again if they went too."""
+        """It is not there: the films that it is of are merged again, or rendered where they are not there either."""
         self._unsafe.remove(film)
         why = why_lost(film.future)
-        self.events.note("TASK_LOST", str(film.samples), f"films could not be merged: {why}")
+        self.events.note("TASK_LOST", str(film.samples), why)
         self._blame(film.future, film.samples, why)
         for part in film.merged_of or (film,):
-            if part is not film and part.future.status in ("finished", "pending"):
+            if part.future.status in ("finished", "pending"):
                 self._add(part)
             else:
                 self._render_again(part.samples, [part.future])
@@ -301,10 +298,8 @@ class ClusterRender:
         while (pair := self._tree.take_pair(self._is_dealt and not self._tasks)) is not None:
             earlier, later, rank = pair
             parts = self._films.pop(earlier), self._films.pop(later)
-            hosts, able = parts[0].hosts + parts[1].hosts, None
-            if self.left_out.hosts:
-                able = frozenset({each.host for each in self.workers} - self.left_out.hosts) or None
-                hosts += (able,) if able else ()
+            able = self.left_out.others(each.host for each in self.workers)
+            hosts = parts[0].hosts + parts[1].hosts + ((able,) if able else ())
             future = self._connection.submit("merge", *(each.future for each in parts), workers=able, priority=60)
             self._unsafe.append(_Film(replace(earlier, end=later.end), rank, future, hosts, parts))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from typing import Any
 
 from .connection import ClusterError, Connection, Worker, told
@@ -41,6 +42,11 @@ class LeftOut:
     def hosts(self) -> set[str]:
         """Those that are left out."""
         return {*self._until}
+
+    def others(self, hosts: Iterable[str]) -> frozenset[str] | None:
+        """Those of `hosts` that are not left out; None where no machine is, or all of them are."""
+        left = frozenset(hosts) - self.hosts
+        return left if left and self.hosts else None
 
     @property
     def why(self) -> str:
@@ -85,7 +91,10 @@ class Staging:
         self.ready.clear()
 
     def step(self, workers: list[Worker]) -> None:
-        """Look what came, and send what comes next."""
+        """Look what came, and send what comes next; raises `ClusterError` where no machine can keep the parts, or do
+        its part otherwise.
+        """
+        self._left_out.see({each.host for each in workers if each.slots})
         self._drop_gone({each.address for each in workers})
         for worker in workers:
             if worker.slots and worker.host not in self.ready and not self._is_under_way(worker.host):

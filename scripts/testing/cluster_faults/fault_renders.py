@@ -173,7 +173,8 @@ class FaultyRenders:
                 outcome.faulty.append(
                     f"the report does not say that a machine was befallen: {fault.kind}, {machine.host}"
                 )
-            kept = asdict(fault) | {"after": round(fault.done_at - started, 2), "said": report.has(fault, machine.host)}
+            after = round((fault.done_at or started) - started, 2)
+            kept = asdict(fault) | {"after": after, "said": report.has(fault, machine.host)}
             outcome.faults.append({name: kept[name] for name in ("kind", "machine", "after", "seconds", "said")})
         self.outcomes.append(outcome)
         return outcome
