@@ -60,6 +60,7 @@ class Connection:
         self._distributed, self._address, self._report, self._seconds = distributed, address, report, seconds
         self._client: Any = None
         self._looked, self._workers = float("-inf"), list[Worker]()
+        self._known: dict[str, float] = {}  # hosts with slots: when they were there last
         self._dropped: set[str] = set()  # addresses of workers that were silent
         self._names = itertools.count()
         self._something_came = threading.Event()
@@ -159,7 +160,12 @@ class Connection:
                     for address, each in found.items()
                     if address not in silent
                 ]
+                self._known |= {each.host: self._looked for each in self._workers if each.slots}
         return self._workers
+
+    def known_hosts(self, seconds: float) -> set[str]:
+        """Hosts that render, and are there, or were in the last `seconds`: they may come back."""
+        return {host for host, last in self._known.items() if self._looked - last < seconds}
 
     def submit(self, name: str, *arguments: Any, workers: Iterable[str] | None = None, priority: int = 0, slot=False):
         """The future of `work`'s function `name`, on one of `workers` (addresses or hosts; default: any). With `slot`

@@ -32,7 +32,6 @@ class LeftOut:
         self._events = events
         self._failures: dict[str, int] = {}  # by host
         self._until: dict[str, float] = {}  # by host
-        self._seen: dict[str, float] = {}  # hosts that render: when they were there last
         self._why = ""  # of the last of them
 
     def __contains__(self, host: str) -> bool:
@@ -53,15 +52,13 @@ class LeftOut:
         """Which machine was left out last, and why; empty where none is."""
         return self._why if self._until else ""
 
-    def see(self, hosts: set[str]) -> None:
-        """`hosts` are there, and render. Raises `ClusterError` where all of them are left out, and no other one may
-        come back.
+    def see(self, hosts: set[str], known: set[str]) -> None:
+        """`hosts` are there, and render; `known` did not long ago, and may again. Raises `ClusterError` where all of
+        these are left out.
         """
         now = time.monotonic()
         self._until = {host: end for host, end in self._until.items() if now < end}
-        seen = {**self._seen, **dict.fromkeys(hosts, now)}
-        self._seen = {host: last for host, last in seen.items() if now - last < RETURN_SECONDS}
-        if hosts and self._seen.keys() <= self._until.keys():
+        if hosts and hosts | known <= self._until.keys():
             raise ClusterError(self._why)
 
     def count(self, host: str, why: str) -> None:
@@ -94,7 +91,8 @@ class Staging:
         """Look what came, and send what comes next; raises `ClusterError` where no machine can keep the parts, or do
         its part otherwise.
         """
-        self._left_out.see({each.host for each in workers if each.slots})
+        hosts = {each.host for each in workers if each.slots}
+        self._left_out.see(hosts, self._connection.known_hosts(RETURN_SECONDS))
         self._drop_gone({each.address for each in workers})
         for worker in workers:
             if worker.slots and worker.host not in self.ready and not self._is_under_way(worker.host):

@@ -237,6 +237,12 @@ def on_no_number():
     raise ValueError("it is none")
 
 
+def test_machines_that_went_are_known_for_a_while(connection):
+    connection._known |= {"a": connection._looked - 10.0}
+    assert connection.known_hosts(11.0) == {"a", "127.0.0.1"}
+    assert connection.known_hosts(10.0) == {"127.0.0.1"}
+
+
 def test_an_error_of_a_machine_is_told_from_one_of_the_scene(monkeypatch):
     def fails(error):
         raise error
