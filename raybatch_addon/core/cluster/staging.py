@@ -68,7 +68,11 @@ class LeftOut:
             self._why = why
             self._events.note("MACHINE_LEFT_OUT", host, why)
             self._until[host] = time.monotonic() + LEFT_OUT_SECONDS
-            del self._failures[host]
+            self.forgive(host)
+
+    def forgive(self, host: str) -> None:
+        """What failed there before does not count any more."""
+        self._failures.pop(host, None)
 
 
 class Staging:
@@ -129,6 +133,7 @@ class Staging:
         if not left and not any(each == host for each, _ in self._sending):
             self._lacking.pop(host, None)
             self.ready.add(host)
+            self._left_out.forgive(host)
 
     def _bundles(self, digests: list[str]) -> list[Bundle]:
         bundles, own, size = [], list[str](), 0

@@ -75,6 +75,17 @@ def test_it_is_left_out_in_the_next_round_too(clock):
     assert {host for _, host in cluster.asked} == {"a"}
 
 
+def test_failures_before_a_machine_had_the_scene_do_not_count(clock):
+    cluster, left_out = Cluster("a"), LeftOut(ClusterEvents())
+    for _ in range(4):
+        staging = Staging(cluster, PARTS, left_out)
+        cluster.full = {"a"}
+        steps(staging, count=1)
+        cluster.full = set()
+        steps(staging)
+        assert staging.ready == {"a", "b"}
+
+
 def test_no_machine_that_can_keep_parts_is_an_error(clock):
     for workers in (WORKERS, WORKERS[1:]):
         staging = Staging(Cluster("a", "b"), PARTS, LeftOut(ClusterEvents()))
