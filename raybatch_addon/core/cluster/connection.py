@@ -224,9 +224,15 @@ def why_lost(future: Any) -> str:
     error = future.exception()
     if type(error).__name__ == "KilledWorker":
         return "the workers that rendered it ended, one after the other; do they run out of memory?"
-    if type(error) is OSError and error.errno is None:  # by `calls.call`: a sentence of its own
+    if is_diagnosed(future):
         return str(error)
     return f"{type(error).__name__}: {error}"
+
+
+def is_diagnosed(future: Any) -> bool:
+    """Whether it failed for what RayBatch knows of the machine, so that it would again (`calls.call`)."""
+    error = future.exception() if future.status == "error" else None
+    return type(error) is OSError and error.errno is None
 
 
 def told(future: Any) -> Any:

@@ -9,7 +9,7 @@ from typing import Any
 
 from . import films
 from .bands import Region, bands_of, film_of_bands
-from .connection import ClusterError, Connection, Worker, told, why_lost
+from .connection import ClusterError, Connection, Worker, is_diagnosed, told, why_lost
 from .keeping import ClusterKeeper, Received, sound
 from .parts import SceneParts, part_digest
 from .ranges import MergeTree, RangeDeal, SampleRange
@@ -253,7 +253,7 @@ class ClusterRender:
         where these failed too often.
         """
         if host := self._connection.failed_on(future):
-            self.left_out.count(host, f"{host} cannot do its part: {why}")
+            self.left_out.count(host, f"{host} cannot do its part: {why}", is_diagnosed(future))
             return
         self._failures[samples] = self._failures.get(samples, 0) + 1
         if self._failures[samples] >= _TRIES:

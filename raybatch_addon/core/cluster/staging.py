@@ -61,10 +61,10 @@ class LeftOut:
         if hosts and hosts | known <= self._until.keys():
             raise ClusterError(self._why)
 
-    def count(self, host: str, why: str) -> None:
-        """`host` failed once more; it is left out where it did so often."""
+    def count(self, host: str, why: str, is_certain: bool = False) -> None:
+        """`host` failed once more; it is left out where it did so often, or would again for certain."""
         self._failures[host] = self._failures.get(host, 0) + 1
-        if self._failures[host] >= _TRIES and host not in self:
+        if (is_certain or self._failures[host] >= _TRIES) and host not in self:
             self._why = why
             self._events.note("MACHINE_LEFT_OUT", host, why)
             self._until[host] = time.monotonic() + LEFT_OUT_SECONDS

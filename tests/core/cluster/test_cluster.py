@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import threading
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from raybatch_addon.core.checkpoint.checkpoint import Checkpoint
 from raybatch_addon.core.checkpoint.file import CheckpointError
 from raybatch_addon.core.cluster import calls, films, work
 from raybatch_addon.core.cluster import connection as connection_module
-from raybatch_addon.core.cluster.connection import ClusterError, Connection
+from raybatch_addon.core.cluster.connection import ClusterError, Connection, is_diagnosed, why_lost
 from raybatch_addon.core.cluster.session import ClusterSession
 from raybatch_addon.core.errors import DeviceError, SettingsError
 from tests.core.cluster.clusters import SETTINGS, cut_into, wait_for
@@ -244,8 +245,12 @@ def test_an_error_of_a_machine_is_told_from_one_of_the_scene(monkeypatch):
         raise error
 
     monkeypatch.setattr(work, "lacks", fails)
-    with pytest.raises(OSError, match="^kernels cannot be kept; make room$"):
+    with pytest.raises(OSError, match="^kernels cannot be kept; make room$") as raised:
         calls.call("lacks", DeviceError("kernels cannot be kept; make room"))
+    future = SimpleNamespace(status="error", exception=lambda: raised.value)
+    assert is_diagnosed(future) and why_lost(future) == "kernels cannot be kept; make room"
+    future.exception = lambda: OSError(28, "No space left on device")
+    assert not is_diagnosed(future) and why_lost(future) == "OSError: [Errno 28] No space left on device"
     assert calls.call("lacks", SettingsError("no such value")) == {"error": "SettingsError", "text": "no such value"}
 
 

@@ -114,6 +114,8 @@ def test_work_goes_to_machines_that_are_not_left_out(clock):
         left_out.count("b", "b cannot do its part")
     assert left_out.others(["a", "b"]) == {"a"} and left_out.others(["b"]) is None
     assert left_out.why == "b cannot do its part"
+    left_out.count("a", "a has no room for kernels", is_certain=True)
+    assert left_out.hosts == {"a", "b"}
 
 
 def test_workers_that_go_and_come_are_noted():
