@@ -3,7 +3,7 @@
 
 def call(name, *arguments):
     """What the function `name` of `work` returns there, or for an error that is RayBatch's own its `error`, the name of
-    its kind, and its `text`: its class may be unknown to who asked.
+    its kind, and its `text`: its class may be unknown to who asked. Raises `OSError` where the machine is at fault.
     """
     import importlib
 
@@ -17,6 +17,8 @@ def call(name, *arguments):
         errors = importlib.import_module(f"{library}.errors")
         try:
             return getattr(work, name)(*arguments)
+        except (errors.DeviceError, errors.OutOfMemoryError) as error:
+            raise OSError(" ".join(str(error).split())) from None
         except errors.RayBatchError as error:
             return {"error": type(error).__name__, "text": " ".join(str(error).split())}
     raise ModuleNotFoundError("RayBatch is not installed on this worker: pip install raybatch[cluster]")
@@ -30,6 +32,14 @@ def keep_copies(dask_scheduler=None):
     for policy in [*getattr(manager, "policies", ())]:
         if type(policy).__name__ == "ReduceReplicas":
             manager.policies.discard(policy)
+
+
+def failed_on(key, dask_scheduler=None):
+    """The hosts on which the task `key` raised its error."""
+    from distributed.comm import get_address_host
+
+    task = dask_scheduler.tasks.get(key)
+    return sorted({get_address_host(address) for address in (task.erred_on or () if task else ())})
 
 
 async def drop(address, dask_scheduler=None):

@@ -60,6 +60,7 @@ class Connection:
         self._distributed, self._address, self._report, self._seconds = distributed, address, report, seconds
         self._client: Any = None
         self._looked, self._workers = float("-inf"), list[Worker]()
+        self._known: dict[str, float] = {}  # hosts with slots: when they were there last
         self._dropped: set[str] = set()  # addresses of workers that were silent
         self._names = itertools.count()
         self._something_came = threading.Event()
@@ -159,7 +160,12 @@ class Connection:
                     for address, each in found.items()
                     if address not in silent
                 ]
+                self._known |= {each.host: self._looked for each in self._workers if each.slots}
         return self._workers
+
+    def known_hosts(self, seconds: float) -> set[str]:
+        """Hosts that render, and are there, or were in the last `seconds`: they may come back."""
+        return {host for host, last in self._known.items() if self._looked - last < seconds}
 
     def submit(self, name: str, *arguments: Any, workers: Iterable[str] | None = None, priority: int = 0, slot=False):
         """The future of `work`'s function `name`, on one of `workers` (addresses or hosts; default: any). With `slot`
@@ -189,6 +195,15 @@ class Connection:
         """The future of `value`, in the memory of `worker`."""
         return self._client.scatter(value, workers=[worker], hash=False, direct=False)
 
+    def failed_on(self, future: Any) -> str:
+        """The host that is at fault for the error of `future`, for its disk, its memory, or what is installed there;
+        empty where none is.
+        """
+        if future.status == "error" and isinstance(future.exception(), (OSError, MemoryError, ImportError)):
+            with contextlib.suppress(OSError, TimeoutError, RuntimeError):
+                return next(iter(self._client.run_on_scheduler(calls.failed_on, future.key)), "")
+        return ""
+
     def secure(self, future: Any) -> None:
         """Have two workers hold what `future` is of, where there are two: the end of one then loses nothing. Waits."""
         if len(self.workers()) > 1:
@@ -209,7 +224,15 @@ def why_lost(future: Any) -> str:
     error = future.exception()
     if type(error).__name__ == "KilledWorker":
         return "the workers that rendered it ended, one after the other; do they run out of memory?"
+    if is_diagnosed(future):
+        return str(error)
     return f"{type(error).__name__}: {error}"
+
+
+def is_diagnosed(future: Any) -> bool:
+    """Whether it failed for what RayBatch knows of the machine, so that it would again (`calls.call`)."""
+    error = future.exception() if future.status == "error" else None
+    return type(error) is OSError and error.errno is None
 
 
 def told(future: Any) -> Any:

@@ -13,10 +13,22 @@ from ..checkpoint.checkpoint import why_not_gone_on
 from ..checkpoint.file import CheckpointError, KeptFilm, load_kept
 from ..checkpoint.identity import FilmIdentity
 from ..checkpoint.merging import joined, save_merged
+from ..film import Film
 from ..scene.description import Scene
 from ..settings.settings import RenderSettings
+from . import films
 from .connection import ClusterError
 from .rounds import ClusterRounds
+
+
+@dataclasses.dataclass(frozen=True)
+class Received:
+    """The samples of films that came, beside those that were here."""
+
+    kept: KeptFilm
+    shares: list[dict[str, Any]]  # of the films that came
+    rounds: ClusterRounds
+    film: Film | None  # of all, where it was looked at
 
 
 class ClusterKeeper:
@@ -72,9 +84,14 @@ class ClusterKeeper:
     def _is_writing(self) -> bool:
         return self._writing is not None and self._writing.is_alive()
 
-    def with_next(self, film: KeptFilm) -> KeptFilm:
-        """What is here with the samples of `film`, which follow."""
-        return film if self.film is None else joined(self.film, film)
+    def received(self, film: KeptFilm, shares: list[dict[str, Any]], rounds: ClusterRounds) -> Received:
+        """What is here with the samples of `film`, which follow, and what comes next where `rounds`'s round ends. This
+        one stays as it is.
+        """
+        kept = film if self.film is None else joined(self.film, film)
+        if self.first + kept.progress.done < rounds.end:
+            return Received(kept, shares, rounds, None)
+        return Received(kept, shares, *rounds.after(kept))
 
     def keep(self, film: KeptFilm, shares: list[dict[str, Any]], rounds: ClusterRounds) -> None:
         """`film` is what is here from now on; `shares` of what is new in it, `rounds` what was decided by it. The file
@@ -116,3 +133,12 @@ class ClusterKeeper:
         except CheckpointError as error:
             if str(error) not in self.warnings:
                 self.warnings.append(str(error))
+
+
+def sound(sent: dict[str, Any]) -> dict[str, Any]:
+    """What was sent, if it is no error; raises `ClusterError`, or `DamagedFilm`."""
+    if sent.get("error") == films.DamagedFilm.__name__:
+        raise films.DamagedFilm(sent["text"])
+    if "error" in sent:
+        raise ClusterError(sent["text"])
+    return sent

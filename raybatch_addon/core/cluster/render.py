@@ -7,17 +7,15 @@ from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ..checkpoint.file import KeptFilm
-from ..film import Film
 from . import films
 from .bands import Region, bands_of, film_of_bands
-from .connection import ClusterError, Connection, Worker, told, why_lost
-from .keeping import ClusterKeeper
+from .connection import ClusterError, Connection, Worker, is_diagnosed, told, why_lost
+from .keeping import ClusterKeeper, Received, sound
 from .parts import SceneParts, part_digest
 from .ranges import MergeTree, RangeDeal, SampleRange
 from .report.events import ClusterEvents, EventKind
 from .rounds import ClusterRounds
-from .staging import Staging
+from .staging import LeftOut, Staging
 
 # How often a picture of what is there is asked for [s]
 PICTURE_SECONDS = 5.0
@@ -49,16 +47,6 @@ class _Film:
     secured: Future | None = None  # is done when two workers have it: else the end of one loses it
 
 
-@dataclass(frozen=True)
-class _Received:
-    """The samples of films that came, beside those that were here."""
-
-    kept: KeptFilm
-    shares: list[dict[str, Any]]  # of the films that came
-    rounds: ClusterRounds
-    film: Film | None  # of all, where it was looked at
-
-
 class _FilmLost(Exception):
     """A film that did not come, and has to be rendered again."""
 
@@ -83,6 +71,7 @@ class ClusterRender:
         self.workers: list[Worker] = []
         self.tasks_again = 0  # tasks that were rendered again, or by two
         self.events = ClusterEvents()
+        self.left_out = LeftOut(self.events)  # machines that are asked for nothing
         self.rays = 0  # that were traced
         self._prepared: set[str] = set()  # workers that have kernels and trees
         self.begin()
@@ -95,7 +84,7 @@ class ClusterRender:
         if (stopped := self.rounds.stopped) is not None:  # travels as parts of the scene do
             self._stopped = part_digest(stopped)
             self._parts = replace(self._scene, arrays={**self._scene.arrays, self._stopped: stopped})
-        self._staging = Staging(self._connection, self._parts, self.events)
+        self._staging = Staging(self._connection, self._parts, self.left_out)
         self._deal = RangeDeal(self._keeper.end, self.rounds.end, len(self._bands), like)
         self._again: list[SampleRange] = []
         self._tasks: list[_Task] = []
@@ -166,7 +155,8 @@ class ClusterRender:
 
     def issue(self, busy: int = 0) -> None:
         """Ask for what comes next, where other renders have `busy` tasks."""
-        ready = [each for each in self.workers if each.slots and each.host in self._staging.ready]
+        able = self._staging.ready - self.left_out.hosts
+        ready = [each for each in self.workers if each.slots and each.host in able]
         slots, running = sum(each.slots for each in ready), busy + self.tasks_running
         hosts, now = frozenset(each.host for each in ready), time.monotonic()
         while running < slots:
@@ -226,13 +216,13 @@ class ClusterRender:
                 if task.done is None:
                     continue
                 if task.done.status == "finished":
-                    task.about = self._connection.submit("shares_of", task.done, priority=50)
+                    task.about = self._connection.submit("shares_of", task.done, workers=task.hosts, priority=50)
                 else:
-                    self._fail(task, why_lost(task.done))
+                    self._fail(task, task.done, why_lost(task.done))
             elif task.about.done():
                 found = told(task.about)
                 if isinstance(found, dict):
-                    self._fail(task, found["text"], found.get("error", ""))
+                    self._fail(task, task.about, found["text"], found.get("error", ""))
                 else:
                     self._finish(task, found[0])
 
@@ -246,8 +236,8 @@ class ClusterRender:
         self.rays += share["rays"]["total"]
         self._unsafe.append(_Film(task.samples, 0, task.done, (task.hosts,)))
 
-    def _fail(self, task: _Task, why: str, kind: str = "") -> None:
-        """Have it rendered again; raises `ClusterError` where that would not help."""
+    def _fail(self, task: _Task, future: Any, why: str, kind: str = "") -> None:
+        """Have it rendered again, for what `future` came to; raises `ClusterError` where that would not help."""
         self._tasks.remove(task)
         if kind and kind not in ("PartMissing", "DamagedFilm"):
             raise ClusterError(why)  # scene, settings or device are at fault
@@ -255,11 +245,16 @@ class ClusterRender:
             self._staging.again()
         what: dict[str, EventKind] = {"PartMissing": "PART_MISSING", "DamagedFilm": "FILM_DAMAGED"}
         self.events.note(what.get(kind, "TASK_LOST"), str(task.samples), why)
-        self._count_failure(task.samples, why)
+        self._blame(future, task.samples, why)
         self._render_again(task.samples, task.futures)
 
-    def _count_failure(self, samples: SampleRange, why: str) -> None:
-        """Raises `ClusterError` where `samples` failed too often."""
+    def _blame(self, future: Any, samples: SampleRange, why: str) -> None:
+        """Count a failure against the machine that is at fault; where none is, against `samples`. Raises `ClusterError`
+        where these failed too often.
+        """
+        if host := self._connection.failed_on(future):
+            self.left_out.count(host, f"{host} cannot do its part: {why}", is_diagnosed(future))
+            return
         self._failures[samples] = self._failures.get(samples, 0) + 1
         if self._failures[samples] >= _TRIES:
             raise ClusterError(f"samples {samples.first} to {samples.end - 1} could not be rendered: {why}")
@@ -279,19 +274,33 @@ class ClusterRender:
         for film in [*self._unsafe]:
             if film.secured is None and film.future.done():
                 if film.future.status != "finished":
-                    raise ClusterError(f"films could not be merged: {why_lost(film.future)}")
+                    self._merge_again(film)
+                    continue
                 film.secured = self._helpers.submit(self._connection.secure, film.future)
             elif film.secured is not None and film.secured.done():
                 self._unsafe.remove(film)
                 film.merged_of = ()
                 self._add(film)
 
+    def _merge_again(self, film: _Film) -> None:
+        """It is not there: the films that it is of are merged again, or rendered where they are not there either."""
+        self._unsafe.remove(film)
+        why = why_lost(film.future)
+        self.events.note("TASK_LOST", str(film.samples), why)
+        self._blame(film.future, film.samples, why)
+        for part in film.merged_of or (film,):
+            if part.future.status in ("finished", "pending"):
+                self._add(part)
+            else:
+                self._render_again(part.samples, [part.future])
+
     def _merge(self) -> None:
         while (pair := self._tree.take_pair(self._is_dealt and not self._tasks)) is not None:
             earlier, later, rank = pair
             parts = self._films.pop(earlier), self._films.pop(later)
-            future = self._connection.submit("merge", *(each.future for each in parts), priority=60)
-            hosts = parts[0].hosts + parts[1].hosts
+            able = self.left_out.others(each.host for each in self.workers)
+            hosts = parts[0].hosts + parts[1].hosts + ((able,) if able else ())
+            future = self._connection.submit("merge", *(each.future for each in parts), workers=able, priority=60)
             self._unsafe.append(_Film(replace(earlier, end=later.end), rank, future, hosts, parts))
 
     @property
@@ -319,8 +328,8 @@ class ClusterRender:
                 film = self._take(error.film.samples)
                 is_damaged = isinstance(error.__cause__, films.DamagedFilm)
                 self.events.note("FILM_DAMAGED" if is_damaged else "TASK_LOST", str(film.samples), str(error))
-                if is_damaged:
-                    self._count_failure(film.samples, str(error))
+                if is_damaged or film.future.status == "error":
+                    self._blame(film.future, film.samples, str(error))
                 self._render_again(film.samples, [film.future])
 
     def _put_back(self) -> None:
@@ -330,25 +339,26 @@ class ClusterRender:
                 self._add(film)
         self._fetched = None
 
-    def _received(self, taken: list[_Film]) -> _Received:
+    def _received(self, taken: list[_Film]) -> Received:
         """On a thread that may wait: the films of all bands, and what follows from them at the end of a round. Raises
         `_FilmLost`.
         """
         parts, shares = [], []
         for each in taken:
             try:
-                film, its = films.received_film(_sound(each.future.result()))
-            except (films.DamagedFilm, OSError, CancelledError) as error:  # or its workers or the scheduler went
+                film, its = films.received_film(sound(each.future.result()))
+            except (
+                films.DamagedFilm,
+                OSError,
+                MemoryError,
+                CancelledError,
+            ) as error:  # or its workers or the scheduler went
                 raise _FilmLost(each, str(error)) from error
             parts.append(film)
             shares += its
-        kept = self._keeper.with_next(film_of_bands(parts, self._region))
-        rounds, looked_at = self.rounds, None
-        if self._first + kept.progress.done >= rounds.end:
-            rounds, looked_at = rounds.after(kept)
-        return _Received(kept, shares, rounds, looked_at)
+        return self._keeper.received(film_of_bands(parts, self._region), shares, self.rounds)
 
-    def _keep(self, received: _Received) -> None:
+    def _keep(self, received: Received) -> None:
         """Go on with the next round, where that was the last of this one."""
         self._fetched = None
         is_next, self.rounds = received.rounds is not self.rounds, received.rounds
@@ -387,12 +397,3 @@ class ClusterRender:
         """Parts of the frame that came since the last call, and their passes by name, each better than that before."""
         taken, self._pictures = self._pictures, []
         return taken
-
-
-def _sound(sent: dict[str, Any]) -> dict[str, Any]:
-    """What was sent, if it is no error; raises `ClusterError`, or `DamagedFilm`."""
-    if sent.get("error") == films.DamagedFilm.__name__:
-        raise films.DamagedFilm(sent["text"])
-    if "error" in sent:
-        raise ClusterError(sent["text"])
-    return sent

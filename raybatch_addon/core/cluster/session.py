@@ -189,10 +189,13 @@ def _tile(region: Region, passes: dict[str, np.ndarray]) -> Tile:
 
 
 def _progress(render: ClusterRender, settings: RenderSettings, parts: Parts, seconds: float) -> Progress:
-    done, slots = render.samples_done, sum(each.slots for each in render.workers)
+    done, left_out = render.samples_done, render.left_out
+    slots = sum(each.slots for each in render.workers if each.host not in left_out)
     fraction = 1.0 if render.is_over else min(max(done / settings.sample_count, 0.0), 1.0)
     left = seconds / fraction - seconds if fraction > 0.01 else None
-    message = f"Rendering on {slots} workers" if slots else "Waiting for workers of the cluster"
+    message = f"Rendering on {slots} workers"
+    if not slots:
+        message = "; ".join(["Waiting for workers of the cluster", *filter(None, [left_out.why])])
     return Progress(
         stage="render" if render.is_rendering else "build",
         fraction=fraction,

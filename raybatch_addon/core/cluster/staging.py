@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from typing import Any
 
 from .connection import ClusterError, Connection, Worker, told
@@ -12,41 +13,91 @@ from .report.events import ClusterEvents
 # Parts travel together up to this size, and so many bundles at once are on their way to a machine
 _BUNDLE_BYTES, _AT_ONCE = 1 << 25, 4
 _TRIES = 3
-# A machine that failed so often is left out for so long, where others have the scene: its disk may be full [s]
+# A machine that failed so often is left out for so long: its disk may be full [s]
 LEFT_OUT_SECONDS = 30.0
+# Where all that are there are left out, one that went is waited for for so long: it may start again [s]
+RETURN_SECONDS = 300.0
 
 
 # Digests of parts that travel together
 Bundle = tuple[str, ...]
 
 
+class LeftOut:
+    """Machines that a render asks for nothing for a while, since they failed where others may not: a disk is full, or
+    memory is too small.
+    """
+
+    def __init__(self, events: ClusterEvents):
+        self._events = events
+        self._failures: dict[str, int] = {}  # by host
+        self._until: dict[str, float] = {}  # by host
+        self._why = ""  # of the last of them
+
+    def __contains__(self, host: str) -> bool:
+        return host in self._until
+
+    @property
+    def hosts(self) -> set[str]:
+        """Those that are left out."""
+        return {*self._until}
+
+    def others(self, hosts: Iterable[str]) -> frozenset[str] | None:
+        """Those of `hosts` that are not left out; None where no machine is, or all of them are."""
+        left = frozenset(hosts) - self.hosts
+        return left if left and self.hosts else None
+
+    @property
+    def why(self) -> str:
+        """Which machine was left out last, and why; empty where none is."""
+        return self._why if self._until else ""
+
+    def see(self, hosts: set[str], known: set[str]) -> None:
+        """`hosts` are there, and render; `known` did not long ago, and may again. Raises `ClusterError` where all of
+        these are left out.
+        """
+        now = time.monotonic()
+        self._until = {host: end for host, end in self._until.items() if now < end}
+        if hosts and hosts | known <= self._until.keys():
+            raise ClusterError(self._why)
+
+    def count(self, host: str, why: str, is_certain: bool = False) -> None:
+        """`host` failed once more; it is left out where it did so often, or would again for certain."""
+        self._failures[host] = self._failures.get(host, 0) + 1
+        if (is_certain or self._failures[host] >= _TRIES) and host not in self:
+            self._why = why
+            self._events.note("MACHINE_LEFT_OUT", host, why)
+            self._until[host] = time.monotonic() + LEFT_OUT_SECONDS
+            self.forgive(host)
+
+    def forgive(self, host: str) -> None:
+        """What failed there before does not count any more."""
+        self._failures.pop(host, None)
+
+
 class Staging:
     """Brings the parts of one scene to machines as they come. `step` goes on with it, and never waits."""
 
-    def __init__(self, connection: Connection, parts: SceneParts, events: ClusterEvents):
-        self._connection, self._parts, self._events = connection, parts, events
+    def __init__(self, connection: Connection, parts: SceneParts, left_out: LeftOut):
+        """`left_out`: is asked which machines are, and told which cannot keep the parts."""
+        self._connection, self._parts, self._left_out = connection, parts, left_out
         self._asked: dict[str, tuple[str, Any]] = {}  # by host: the worker that was asked, and what its machine lacks
         self._lacking: dict[str, list[Bundle]] = {}  # by host
         self._sending: dict[tuple[str, Bundle], tuple[str, Any]] = {}  # by host and bundle: the worker, and the future
         self._sent: dict[Bundle, Any] = {}  # those in the memory of some worker
-        self._failures: dict[str, int] = {}  # by host
-        self._left_out: dict[str, float] = {}  # hosts that cannot keep the scene: until when
-        self._why = ""  # of the last of them
         self.ready: set[str] = set()  # hosts that have all
-        self._was_ready = False  # some host had all: it may come back
 
     def again(self) -> None:
         """A part is not on some machine after all: all are asked anew."""
         self.ready.clear()
 
     def step(self, workers: list[Worker]) -> None:
-        """Look what came, and send what comes next; raises `ClusterError` where no machine can keep them."""
-        there = {each.address for each in workers}
-        self._drop_gone(there)
-        now, hosts = time.monotonic(), {each.host for each in workers if each.slots}
-        self._left_out = {host: end for host, end in self._left_out.items() if now < end}
-        if hosts and hosts <= self._left_out.keys() and not self._was_ready:
-            raise ClusterError(self._why)
+        """Look what came, and send what comes next; raises `ClusterError` where no machine can keep the parts, or do
+        its part otherwise.
+        """
+        hosts = {each.host for each in workers if each.slots}
+        self._left_out.see(hosts, self._connection.known_hosts(RETURN_SECONDS))
+        self._drop_gone({each.address for each in workers})
         for worker in workers:
             if worker.slots and worker.host not in self.ready and not self._is_under_way(worker.host):
                 digests = sorted(self._parts.arrays)
@@ -82,7 +133,7 @@ class Staging:
         if not left and not any(each == host for each, _ in self._sending):
             self._lacking.pop(host, None)
             self.ready.add(host)
-            self._was_ready = True
+            self._left_out.forgive(host)
 
     def _bundles(self, digests: list[str]) -> list[Bundle]:
         bundles, own, size = [], list[str](), 0
@@ -102,19 +153,10 @@ class Staging:
         found = told(future)
         if not isinstance(found, dict):
             return found
-        why = found["text"]
-        self._failures[host] = self._failures.get(host, 0) + 1
-        if self._failures[host] >= _TRIES:
-            self._leave_out(host, why)
+        self._left_out.count(host, f"{host} cannot keep the scene: {found['text']}")
+        if host in self._left_out:
+            self._lacking.pop(host, None)
         return None
-
-    def _leave_out(self, host: str, why: str) -> None:
-        """Ask nothing of `host` for a while."""
-        self._why = f"{host} cannot keep the scene: {why}"
-        self._events.note("MACHINE_LEFT_OUT", host, self._why)
-        self._left_out[host] = time.monotonic() + LEFT_OUT_SECONDS
-        self._failures.pop(host)
-        self._lacking.pop(host, None)
 
     def _drop_gone(self, there: set[str]) -> None:
         """Forget what was asked of workers that are gone: another one of their machine is asked anew."""

@@ -57,7 +57,10 @@ class PartStore:
                 with whole_file(self._path(digest)) as temporary, temporary.open("wb") as file:
                     np.lib.format.write_array(file, np.ascontiguousarray(array), allow_pickle=False)
         except OSError as error:
-            raise StoreError(f"{self._folder} cannot keep a part: {error.strerror or error}") from error
+            raise StoreError(
+                f"{self._folder} cannot keep a part: {error.strerror or error}; make room there, or name another "
+                "folder by RAYBATCH_PART_FOLDER"
+            ) from error
 
     def load(self, digest: str) -> np.ndarray:
         """The array, which lies in the file as long as it is read from there; raises `PartMissing`."""

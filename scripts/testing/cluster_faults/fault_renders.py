@@ -40,7 +40,6 @@ BANDS = 2
 RENDER_SECONDS = 1.0  # of a processor that a film takes, about, beside what its tasks do
 LEAST_SECONDS = 0.5  # of a task, where it can be: its film and its worker's Python take as long
 SILENT_SECONDS = 3.0  # a worker is left out that was silent for so long
-NOTICED_SECONDS = 3.0  # what happens so long before the end is in the report
 LIMIT_SECONDS = 600.0  # a render that takes longer hangs
 VARIANTS: dict[str, dict[str, Any]] = {
     "plain": {},
@@ -129,6 +128,8 @@ class FaultyRenders:
         from raybatch_addon.core.cluster.connection import Connection
         from raybatch_addon.core.cluster.session import ClusterSession
         from testing.cluster_faults.faults import FaultsOfRender, drawn
+        from testing.cluster_faults.said import RenderReport
+        from testing.cluster_faults.worker_faults import DAMAGED
 
         variant = self._variants[len(self.outcomes) % len(self._variants)]
         machines = self._machines.all
@@ -136,14 +137,19 @@ class FaultyRenders:
         self._machines.mend(connection)
         faults = drawn(self._random, len(machines)) if with_faults else []
         befalling, outcome = FaultsOfRender(faults, machines), Outcome(variant.name, len(machines))
-        started = time.monotonic()
+        started, begun = time.monotonic(), list[float]()
+
+        def on_progress(progress: Any) -> None:
+            begun.append(time.monotonic())
+            befalling.come_to(progress.fraction)
+
         session = ClusterSession(connection)
         try:
             befalling.come_to(-1e-9)
             film = session.render(
                 variant.scene,
                 variant.settings,
-                on_progress=lambda each: befalling.come_to(each.fraction),
+                on_progress=on_progress,
                 cancelled=lambda: time.monotonic() - started > LIMIT_SECONDS,
             )
             outcome.faulty = variant.why_not(film)
@@ -157,30 +163,21 @@ class FaultyRenders:
             session.close()
             connection.close()
         outcome.seconds = round(ended - started, 2)
+        report = RenderReport(outcome.events, begun[0] if begun else ended, ended)
+        befalling.note_when(ended)
         done = [each for each in faults if each.is_done]
-        outcome.faults = [self._said(each, done, outcome, started, ended) for each in done]
+        for fault in done:
+            machine = machines[fault.machine]
+            others = [each for each in done if each is not fault and each.machine == fault.machine]
+            if report.misses(fault, others, machine.host, machine.noted(DAMAGED)):
+                outcome.faulty.append(
+                    f"the report does not say that a machine was befallen: {fault.kind}, {machine.host}"
+                )
+            after = round((fault.done_at or started) - started, 2)
+            kept = asdict(fault) | {"after": after, "said": report.has(fault, machine.host)}
+            outcome.faults.append({name: kept[name] for name in ("kind", "machine", "after", "seconds", "said")})
         self.outcomes.append(outcome)
         return outcome
-
-    def _said(self, fault: Any, done: list[Any], outcome: Outcome, started: float, ended: float) -> dict[str, Any]:
-        """`fault` as the report of all renders has it, with whether that of its render says what happened."""
-        from testing.cluster_faults.faults import ALWAYS_SAID, KINDS
-
-        machine = self._machines.all[fault.machine]
-        kinds, _ = KINDS[fault.kind]
-        found = [
-            each["kind"] in kinds and (machine.host in each["who"] or "samples" in each["who"])
-            for each in outcome.events
-        ]
-        is_seen = ended - fault.done_at > NOTICED_SECONDS
-        if fault.kind == "result damaged":  # a film that went with its worker is damaged, and nobody sees it
-            is_alone = all(each is fault or each.machine != fault.machine for each in done)
-            is_late = any(each["kind"] == "TASK_LATE" for each in outcome.events)  # nor one that came second
-            is_seen = is_seen and is_alone and not is_late and machine.damaged > fault.damaged
-        if fault.kind in ALWAYS_SAID and is_seen and not any(found):
-            outcome.faulty.append(f"the report does not say that a machine was befallen: {fault.kind}, {machine.host}")
-        kept = asdict(fault) | {"after": round(fault.done_at - started, 2), "said": any(found)}
-        return {name: kept[name] for name in ("kind", "machine", "after", "seconds", "said")}
 
 
 def run(options: argparse.Namespace, folders: OutputFolders, standard_output: IO[str]) -> int:

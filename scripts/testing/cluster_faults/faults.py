@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from testing.cluster_faults.machines import Machine
+from testing.cluster_faults.worker_faults import CUT
 
 # By kind: what the report of the render should have of it, and what the table says
 KINDS: dict[str, tuple[tuple[str, ...], str]] = {
@@ -27,8 +28,6 @@ KINDS: dict[str, tuple[tuple[str, ...], str]] = {
 FOR_GOOD = ("stopped", "disk full")
 # Of these a machine has one in a render: what goes on again by one would end another
 STANDS = ("stopped", "paused", "slowed")
-# These are always seen and said, where the render goes on for a while
-ALWAYS_SAID = ("killed", "machine killed", "cut off", "disk full", "result damaged")
 FAULTS_MOST = 4  # in a render
 PAUSE_SECONDS = (0.5, 6.0)
 SLOW_SECONDS = (2.0, 8.0)
@@ -44,7 +43,6 @@ class Fault:
     moment: float  # the share of the render's samples that are there; below 0: before the first
     seconds: float  # how long it lasts, where that is drawn [s]
     done_at: float | None = None  # clock [s]; None: it did not come to it
-    damaged: int = 0  # results that the machine had damaged before
 
     @property
     def is_done(self) -> bool:
@@ -71,17 +69,16 @@ class FaultsOfRender:
     """Does the faults of a render as it comes to their moments."""
 
     def __init__(self, faults: list[Fault], machines: Sequence[Machine]):
-        self._left, self._machines = [*faults], machines
+        self._faults, self._left, self._machines = faults, [*faults], machines
         self._threads: list[threading.Thread] = []
         self._over = threading.Event()
 
     def come_to(self, fraction: float) -> None:
-        """So much of the render is done: do what is due. Where a machine has no worker yet, it is tried again."""
+        """So much of the render is done: do what is due. Where a machine has no worker that can, it is tried again."""
         for fault in [each for each in self._left if each.moment <= fraction]:
-            machine = self._machines[fault.machine]
-            fault.damaged = machine.damaged
-            if self._do(fault, machine):
-                fault.done_at = time.monotonic()
+            now = time.monotonic()
+            if self._do(fault, self._machines[fault.machine]):
+                fault.done_at = now
                 self._left.remove(fault)
 
     def _do(self, fault: Fault, machine: Machine) -> bool:
@@ -90,7 +87,11 @@ class FaultsOfRender:
             return True
         if fault.kind == "disk full":
             return machine.fill_disk(is_full=True)
-        number = {"killed": signal.SIGKILL, "cut off": signal.SIGUSR2, "result damaged": signal.SIGUSR1}
+        if fault.kind == "result damaged":
+            return machine.damage()
+        if fault.kind == "cut off" and machine.stands:  # it cuts itself off, once it goes on
+            return False
+        number = {"killed": signal.SIGKILL, "cut off": signal.SIGUSR2}
         done = machine.signal(number.get(fault.kind, signal.SIGSTOP))
         if done and fault.kind == "paused":
             self._begin(lambda: self._pause(machine, fault.seconds))
@@ -114,8 +115,17 @@ class FaultsOfRender:
             machine.signal(signal.SIGCONT)
             time.sleep(SLOW_TURN[1])
 
+    def note_when(self, ended: float) -> None:
+        """Once the render is over, which `ended` then [s]: workers that were cut off did that to themselves, at once or
+        when they went on; or they ended before.
+        """
+        for fault in self._faults:
+            if fault.kind == "cut off" and fault.done_at is not None:
+                noted = self._machines[fault.machine].noted(CUT)
+                fault.done_at = next((each for each in noted if fault.done_at <= each <= ended), None)
+
     def end(self) -> None:
-        """The render is over. Who was stopped for good is killed, and comes again."""
+        """The render is over: nothing more befalls a machine."""
         self._over.set()
         for thread in self._threads:
             thread.join()

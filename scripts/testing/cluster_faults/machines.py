@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import resource
 import shutil
 import signal
 import subprocess
@@ -16,7 +15,7 @@ from typing import Any
 
 import psutil
 
-from testing.cluster_faults.worker_faults import DAMAGED
+from testing.cluster_faults import worker_faults
 
 ROOT = Path(__file__).resolve().parents[3]
 # A machine whose programs ended starts them again after so long [s]
@@ -29,8 +28,9 @@ class Machine:
     def __init__(self, number: int, scheduler: str, folder: Path):
         """`folder`: holds what is on its disk."""
         self.host, self._scheduler, self._folder = f"127.0.0.{number + 2}", scheduler, folder
-        self.parts, self._damaged = folder / "parts", folder / "damaged"
-        self.parts.mkdir(parents=True)
+        self.parts, self._faults = folder / "parts", folder / "faults"
+        for each in (self.parts, self._faults):
+            each.mkdir(parents=True)
         self._ended: float | None = None
         self._process: subprocess.Popen | None = None
         self.start()
@@ -41,7 +41,7 @@ class Machine:
         words += ["--resources", "raybatch=1", "--no-dashboard", "--memory-limit", "0"]
         words += ["--preload", "testing.cluster_faults.worker_faults", "--local-directory", str(self._folder)]
         own = {"RAYBATCH_DEVICE": "cpu", "RAYBATCH_THREADS": "1", "RAYBATCH_PART_FOLDER": str(self.parts)}
-        self._process, self._ended = _program(words, **own, **{DAMAGED: str(self._damaged)}), None
+        self._process, self._ended = _program(words, **own, **{worker_faults.FAULTS: str(self._faults)}), None
 
     def keep(self) -> None:
         """Start it again some time after it ended."""
@@ -50,10 +50,9 @@ class Machine:
             if time.monotonic() - self._ended > RESTARTED_AFTER:
                 self.start()
 
-    @property
-    def damaged(self) -> int:
-        """Results that it damaged."""
-        return len(self._damaged.read_text().splitlines()) if self._damaged.exists() else 0
+    def noted(self, kind: str) -> list[float]:
+        """When its workers noted faults of that kind (`worker_faults`), by the clock of `time.monotonic` [s]."""
+        return worker_faults.noted(self._faults, kind)
 
     def worker(self) -> psutil.Process | None:
         """The process that works; None where it is not there yet, or ended."""
@@ -72,6 +71,23 @@ class Machine:
                 return True
         return False
 
+    @property
+    def stands(self) -> bool:
+        """Whether the worker is stopped: it does nothing, and heeds no signal but those that end it or let it go on."""
+        worker = self.worker()
+        with contextlib.suppress(psutil.Error):
+            return worker is not None and worker.status() == psutil.STATUS_STOPPED
+        return False
+
+    def damage(self, is_wanted: bool = True) -> bool:
+        """The next film that a worker sends is damaged, or is not; whether there is a worker."""
+        wanted = self._faults / worker_faults.DAMAGE
+        if is_wanted:
+            wanted.touch()
+        else:
+            wanted.unlink(missing_ok=True)
+        return self.worker() is not None
+
     def end(self) -> None:
         """Kill all of it: the machine goes."""
         worker = self.worker()
@@ -88,14 +104,16 @@ class Machine:
         self._process = None
 
     def fill_disk(self, is_full: bool) -> bool:
-        """Whatever the worker writes to files fails, or no longer does; whether there is a worker."""
-        worker = self.worker()
-        if worker is None:
-            return False
+        """Whatever workers write to files fails, or no longer does, those that come later too; whether there is one."""
+        worker, full = self.worker(), self._faults / worker_faults.FULL
+        if is_full:
+            full.touch()
+        else:
+            full.unlink(missing_ok=True)
         with contextlib.suppress(OSError):
-            _, most = resource.prlimit(worker.pid, resource.RLIMIT_FSIZE)
-            resource.prlimit(worker.pid, resource.RLIMIT_FSIZE, (0 if is_full else most, most))
-            return True
+            if worker is not None:
+                worker_faults.fill_disk(worker.pid, is_full)
+                return True
         return False
 
     def forget_parts(self) -> None:
@@ -147,6 +165,7 @@ class Machines:
         """All machines work, and have nothing of scenes; raises `RuntimeError` where they do not after some time."""
         for machine in self.all:
             machine.fill_disk(is_full=False)
+            machine.damage(is_wanted=False)
             machine.signal(signal.SIGCONT)
         end = time.monotonic() + seconds
         while sorted(each.host for each in connection.workers()) != sorted(each.host for each in self.all):
@@ -154,6 +173,7 @@ class Machines:
                 raise RuntimeError(f"of {len(self.all)} workers {len(connection.workers())} came in {seconds:.0f} s")
             time.sleep(0.1)
         for machine in self.all:
+            machine.fill_disk(is_full=False)  # a worker may have begun meanwhile
             machine.forget_parts()
 
     def close(self) -> None:

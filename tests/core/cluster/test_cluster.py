@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import threading
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,11 +18,11 @@ distributed = pytest.importorskip("distributed")
 
 from raybatch_addon.core.checkpoint.checkpoint import Checkpoint
 from raybatch_addon.core.checkpoint.file import CheckpointError
+from raybatch_addon.core.cluster import calls, films, work
 from raybatch_addon.core.cluster import connection as connection_module
-from raybatch_addon.core.cluster import films
-from raybatch_addon.core.cluster.connection import ClusterError, Connection
+from raybatch_addon.core.cluster.connection import ClusterError, Connection, is_diagnosed, why_lost
 from raybatch_addon.core.cluster.session import ClusterSession
-from raybatch_addon.core.errors import SettingsError
+from raybatch_addon.core.errors import DeviceError, SettingsError
 from tests.core.cluster.clusters import SETTINGS, cut_into, wait_for
 from tests.support import scenes
 from tests.support.under_test import DEVICE
@@ -194,13 +195,74 @@ def test_a_cancelled_render_keeps_a_checkpoint_that_any_render_goes_on_with(
         cluster.render(scenes.mixed(FRAME), more, checkpoint=Checkpoint(path))
 
 
+def merging_fails(monkeypatch, times):
+    """The first merges fail as on a full disk; they are noted in what is returned."""
+    submit, failed = Connection.submit, []
+
+    def submit_some(self, function, *arguments, **options):
+        if function != "merge" or len(failed) >= times:
+            return submit(self, function, *arguments, **options)
+        failed.append(self._client.submit(on_full_disk, pure=False))
+        return failed[-1]
+
+    monkeypatch.setattr(Connection, "submit", submit_some)
+    return failed
+
+
+def on_full_disk():
+    raise OSError(28, "No space left on device")
+
+
+def test_what_a_machine_fails_to_merge_is_merged_again(connection, expected, long_tasks, monkeypatch):
+    failed = merging_fails(monkeypatch, 2)
+    film = render(connection)
+    assert_same_film(film, expected)
+    lost = [each for each in film.statistics["cluster"]["events"] if each["kind"] == "TASK_LOST"]
+    assert len(failed) == 2 == len(lost) and "No space left on device" in lost[0]["text"]
+
+
+def test_a_machine_that_fails_is_named(connection, long_tasks, monkeypatch):
+    merging_fails(monkeypatch, 100)
+    with pytest.raises(ClusterError, match=r"127\.0\.0\.1 cannot do its part: OSError: .*No space left on device"):
+        render(connection)
+
+
+def test_who_is_at_fault_for_an_error(connection):
+    for fails, host in ((open, "127.0.0.1"), (int, "")):  # a folder is no file, nor a number
+        future = connection._client.submit(fails, "/", pure=False)
+        assert future.exception()  # waits for it
+        assert connection.failed_on(future) == host
+
+
+def test_machines_that_went_are_known_for_a_while(connection):
+    connection._known |= {"a": connection._looked - 10.0}
+    assert connection.known_hosts(11.0) == {"a", "127.0.0.1"}
+    assert connection.known_hosts(10.0) == {"127.0.0.1"}
+
+
+def test_an_error_of_a_machine_is_told_from_one_of_the_scene(monkeypatch):
+    def fails(error):
+        raise error
+
+    monkeypatch.setattr(work, "lacks", fails)
+    with pytest.raises(OSError, match="^kernels cannot be kept; make room$") as raised:
+        calls.call("lacks", DeviceError("kernels cannot be kept; make room"))
+    future = SimpleNamespace(status="error", exception=lambda: raised.value)
+    assert is_diagnosed(future) and why_lost(future) == "kernels cannot be kept; make room"
+    future.exception = lambda: OSError(28, "No space left on device")
+    assert not is_diagnosed(future) and why_lost(future) == "OSError: [Errno 28] No space left on device"
+    assert calls.call("lacks", SettingsError("no such value")) == {"error": "SettingsError", "text": "no such value"}
+
+
 def test_what_cannot_be_kept_is_an_error(connection, monkeypatch):
     other = scenes.mixed(scenes.Frame(9, 7, passes=PASSES))
     connection._client.run(make_full)
     try:
         mesh = scenes.sphere(segments=11, rings=7)
         scene = scenes.scene([(mesh, scenes.IDENTITY, scenes.diffuse())], frame=other.frame, world=1.0)
-        with pytest.raises(ClusterError, match="127.0.0.1 cannot keep the scene: .*No space left"):
+        with pytest.raises(
+            ClusterError, match="127.0.0.1 cannot keep the scene: .*No space left.*RAYBATCH_PART_FOLDER"
+        ):
             ClusterSession(connection).render(scene, SETTINGS)
     finally:
         connection._client.run(make_room)

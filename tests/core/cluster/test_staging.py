@@ -10,7 +10,7 @@ from raybatch_addon.core.cluster.connection import ClusterError, Worker
 from raybatch_addon.core.cluster.parts import SceneParts
 from raybatch_addon.core.cluster.report import events as events_module
 from raybatch_addon.core.cluster.report.events import ClusterEvents
-from raybatch_addon.core.cluster.staging import Staging
+from raybatch_addon.core.cluster.staging import LEFT_OUT_SECONDS, RETURN_SECONDS, LeftOut, Staging
 
 WORKERS = [Worker(f"tcp://{host}:1", host, 1) for host in ("a", "b")]
 PARTS = SceneParts("{}", {"one": np.zeros(3), "two": np.ones(4)})
@@ -20,7 +20,7 @@ class Cluster:
     """A connection to workers that answer at once; those of `full` machines cannot keep a part."""
 
     def __init__(self, *full):
-        self.full, self.asked = set(full), []
+        self.full, self.asked, self.known = set(full), [], set()
 
     def submit(self, name, *_arguments, workers, priority):
         host = workers[0].removeprefix("tcp://").removesuffix(":1")
@@ -29,6 +29,10 @@ class Cluster:
         if name == "put" and host in self.full:
             found = {"error": "StoreError", "text": "No space left on device"}
         return SimpleNamespace(done=lambda: True, status="finished", result=lambda timeout: found)
+
+    def known_hosts(self, seconds):
+        assert seconds == RETURN_SECONDS
+        return self.known
 
     def send(self, arrays, _worker):
         return arrays
@@ -48,32 +52,70 @@ def steps(staging, workers=WORKERS, count=12):
 
 def test_a_machine_that_cannot_keep_parts_is_left_out_for_a_while(clock):
     cluster, events = Cluster("b"), ClusterEvents()
-    staging = Staging(cluster, PARTS, events)
+    left_out = LeftOut(events)
+    staging = Staging(cluster, PARTS, left_out)
     steps(staging)
-    assert staging.ready == {"a"}
+    assert staging.ready == {"a"} and "b" in left_out
     assert cluster.asked.count(("put", "b")) == 3
     (event,) = events.all
     assert (event["kind"], event["who"]) == ("MACHINE_LEFT_OUT", "b") and "No space left" in event["text"]
     cluster.full.clear()
     steps(staging)
     assert staging.ready == {"a"}
-    clock.seconds = staging_module.LEFT_OUT_SECONDS
+    clock.seconds = LEFT_OUT_SECONDS
     steps(staging)
-    assert staging.ready == {"a", "b"}
+    assert staging.ready == {"a", "b"} and not left_out.hosts
+
+
+def test_it_is_left_out_in_the_next_round_too(clock):
+    cluster, left_out = Cluster("b"), LeftOut(ClusterEvents())
+    steps(Staging(cluster, PARTS, left_out))
+    cluster.asked.clear()
+    steps(Staging(cluster, PARTS, left_out))
+    assert {host for _, host in cluster.asked} == {"a"}
+
+
+def test_failures_before_a_machine_had_the_scene_do_not_count(clock):
+    cluster, left_out = Cluster("a"), LeftOut(ClusterEvents())
+    for _ in range(4):
+        staging = Staging(cluster, PARTS, left_out)
+        cluster.full = {"a"}
+        steps(staging, count=1)
+        cluster.full = set()
+        steps(staging)
+        assert staging.ready == {"a", "b"}
 
 
 def test_no_machine_that_can_keep_parts_is_an_error(clock):
-    staging = Staging(Cluster("a", "b"), PARTS, ClusterEvents())
-    with pytest.raises(ClusterError, match="cannot keep the scene: No space left on device"):
-        steps(staging)
+    for workers in (WORKERS, WORKERS[1:]):
+        staging = Staging(Cluster("a", "b"), PARTS, LeftOut(ClusterEvents()))
+        with pytest.raises(ClusterError, match="b cannot keep the scene: No space left on device"):
+            steps(staging, workers)
 
 
-def test_a_machine_that_had_the_scene_may_come_back(clock):
-    """It went, and the one that is left cannot keep the scene: the render waits, as where there is no worker."""
-    staging = Staging(Cluster("b"), PARTS, ClusterEvents())
-    steps(staging, WORKERS[:1])
+def test_a_machine_that_went_may_come_back(clock):
+    """It went before it had the scene, and the one that is left cannot keep it: the render waits, but not for ever."""
+    cluster = Cluster("b")
+    staging = Staging(cluster, PARTS, LeftOut(ClusterEvents()))
+    cluster.known = {"a", "b"}
     steps(staging, WORKERS[1:])
+    assert not staging.ready
+    cluster.known = {"b"}
+    with pytest.raises(ClusterError, match="b cannot keep the scene"):
+        steps(staging, WORKERS[1:])
+    steps(staging, WORKERS[:1])
     assert staging.ready == {"a"}
+
+
+def test_work_goes_to_machines_that_are_not_left_out(clock):
+    left_out = LeftOut(ClusterEvents())
+    for _ in range(3):
+        assert left_out.others(["a", "b"]) is None  # any may have it
+        left_out.count("b", "b cannot do its part")
+    assert left_out.others(["a", "b"]) == {"a"} and left_out.others(["b"]) is None
+    assert left_out.why == "b cannot do its part"
+    left_out.count("a", "a has no room for kernels", is_certain=True)
+    assert left_out.hosts == {"a", "b"}
 
 
 def test_workers_that_go_and_come_are_noted():

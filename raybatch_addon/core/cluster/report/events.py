@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 # What happened: a worker went (its process ended, or its connection), was silent, or came later than others; a film or
 # a part of a scene was not what was sent; a task was lost, failed, or was rendered by two for being late; a machine
-# could not keep the scene; the scheduler went
+# could not keep the scene, or do its part otherwise; the scheduler went
 EventKind = Literal[
     "WORKER_GONE",
     "WORKER_SILENT",
