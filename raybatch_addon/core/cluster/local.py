@@ -16,8 +16,9 @@ from ..device.devices import start_warp, warp_cache_folder, worker_count
 from .connection import PACKAGES, RESOURCE, ClusterError
 from .work import KERNEL_CACHE, WORKER_DEVICE, WORKER_THREADS
 
-# A worker that is gone for so long is replaced by another [s]
-_REPLACED_AFTER = "3 s"
+# A worker that is gone for so long is replaced by another, in vain: its nanny starts it again, on a busy machine after
+# many seconds, and one that cannot is taken out by `_watch`. Else there would be one too many, and Dask would end it
+_REPLACED_AFTER = "60 s"
 # Dask looks after itself less often than it would on machines of its own: here that takes time from the samples. As it
 # is, scheduler, nannies and two workers take an eighth of a core while nothing is asked of them, and so a fortieth
 _DASK = {
