@@ -116,7 +116,8 @@ class TilePool:
         self._block_addresses = np.array([each.ptr for each in self._blocks], np.uint64)
         self._tile_in = np.full(slots, -1, np.int64)  # number of the tile in a slot; -1: none
         self._slot_of = np.full(numbers, -1, np.int64)
-        self._used_at = np.zeros(numbers, np.int64)  # when it was read last, by the count of turns that brought tiles
+        self._turn = 0  # in which tiles were brought, of all renders
+        self._used_at = np.zeros(numbers, np.int64)  # the turn in which a tile was read last
         self._coming = np.zeros(0, np.int64)  # tiles that are being copied, and are shown in the next turn
         self.totals = TileTotals(tiles=source.tile_count, slots=slots, slot_bytes=size)
         self.table = ImageTable()
@@ -136,7 +137,8 @@ class TilePool:
         started = time.perf_counter()
         asked = self._read_marks()
         self.totals.turns += 1
-        np.copyto(self._used_at, self.totals.turns, where=(asked & WAS_SEEN).view(bool))
+        self._turn += 1
+        np.copyto(self._used_at, self._turn, where=(asked & WAS_SEEN).view(bool))
         missing, kept = self._choose(np.flatnonzero(asked & IS_WANTED))
         self._marks.zero_()
         self._show_coming()
@@ -183,7 +185,7 @@ class TilePool:
             marks = self._all_marks()[wanted]
             urgency = urgency_of(marks[:, WANTED], marks[:, PINNED] != 0)
             missing, kept = (wanted[places] for places in choose_tiles(urgency, is_there, slots, self._most))
-        self._used_at[missing] = self._used_at[kept] = self.totals.turns
+        self._used_at[missing] = self._used_at[kept] = self._turn
         return missing, kept
 
     def _show_coming(self) -> None:

@@ -52,6 +52,7 @@ def test_the_tile_leaves_that_was_read_the_longest_time_ago(source):
     wanted(pool, t1=(1, 0, 0), t2=(1, 0, 0), t3=(1, 0, 0))
     wanted(pool, t1=(0, 1, 0), t3=(0, 1, 0), t4=(1, 0, 0))
     assert there(pool) == {1: 1, 3: 3, 4: 4}
+    pool.begin()  # another render, which goes on from there
     wanted(pool, t3=(0, 1, 0), t5=(2, 0, 0))
     assert there(pool).keys() == {3, 4, 5}
 
