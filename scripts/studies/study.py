@@ -50,6 +50,9 @@ class Study:
     fragment: Callable[[dict[str, Report]], str]  # markdown of the reports by device
     draw: Callable[[dict[str, Report], Path], None]  # plots into a folder, as NAME-*.svg
     turns: tuple[int, int] = (2, 3)  # quick, full
+    title: str = ""  # of the page; empty: made of the name
+    # digest of what is measured, of a study that a user defines: rows of another one do not go with it
+    definition: str = ""
 
 
 def groups_of(cases: Sequence[Case]) -> dict[str, list[Case]]:
