@@ -111,7 +111,7 @@ def run(given: argparse.Namespace, folders: OutputFolders, standard_output: IO[s
             raise UsageError("--quick is for the studies of the project: give your own fewer samples or turns")
         path = Path(given.name)
         defined = read_definition(path)
-        study, out = own_study(defined), given.out or path.with_suffix("")
+        study, out = own_study(defined, not given.no_plots), given.out or path.with_suffix("")
         devices = devices if given.device else defined.devices
     else:
         study = study_named(given.name)

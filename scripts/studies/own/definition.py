@@ -60,7 +60,8 @@ class OwnCase:
     @property
     def key(self) -> str:
         """What rows are found by: the settings, with the name of a named case."""
-        return self.label if self.axes else f"{self.label} ({label_of(self.settings)})"
+        named = bool(self.settings) and not self.axes
+        return f"{self.label} ({label_of(self.settings)})" if named else self.label
 
 
 @dataclass(frozen=True, kw_only=True)

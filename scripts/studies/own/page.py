@@ -17,13 +17,13 @@ from studies.rows import differing_films
 from studies.study import Report, Row
 
 
-def page_fragment(definition: Definition, reports: dict[str, Report]) -> str:
-    """All of the page, below its title."""
+def page_fragment(definition: Definition, plots: bool, reports: dict[str, Report]) -> str:
+    """All of the page, below its title; with its plots, if they were drawn."""
     reports = {kind: asked_for(definition, report) for kind, report in reports.items()}
     parts = [definition.about, ""] if definition.about else []
     parts += [f"- {machine(report)}" for report in reports.values()]
     parts += [*(f"- {line}" for line in frames(reports)), f"- {compared(reports)}", ""]
-    for name, about in plot_names(definition).items():
+    for name, about in plot_names(definition).items() if plots else ():
         parts += [f"![{about}]({definition.name}-{name}.svg)", ""]
     parts += [cases_table(definition, reports), "", legend(definition)]
     if warned := warnings(reports):

@@ -54,6 +54,7 @@ def _draw_axis(definition: Definition, reports: dict[str, Report], folder: Path,
     combinations = [dict(zip(others, values, strict=True)) for values in itertools.product(*others.values())]
     many = len(reports) > 1
     for panel, (scene, measure) in zip(axes, places, strict=True):
+        most = 0.0
         for style, report in zip(STYLES, reports.values()):
             for number, fixed in enumerate(combinations):
                 points = points_of(definition, report, scene, measure, axis, fixed)
@@ -65,14 +66,15 @@ def _draw_axis(definition: Definition, reports: dict[str, Report], folder: Path,
                 line = style if number < len(COLORS) else STYLES[1 + number // len(COLORS) % 3]
                 panel.plot(x, middle, line, color=color, markersize=4, label=label or None)
                 panel.fill_between(x, low, high, color=color, alpha=0.15, linewidth=0)
+                most = max(most, *high)
         panel.set(xlabel=axis, ylabel=measure.title, title=scene)
         values = [value for value in definition.axes[axis] if value > 0]
         if len(values) == len(definition.axes[axis]) and max(values) >= LOG_FROM * min(values):
             panel.set_xscale("log", base=2)
             panel.set_xticks(values, [f"{value:g}" for value in values])
             panel.minorticks_off()
-        if not measure.is_error:
-            panel.set_ylim(bottom=0)
+        if most > 0:
+            panel.set_ylim(0, 1.08 * most)
     if any(axes[0].get_legend_handles_labels()[1]):
         legend(figure, axes)
     save(figure, folder, f"{definition.name}-{axis.replace('_', '-')}")

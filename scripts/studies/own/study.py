@@ -17,14 +17,14 @@ from studies.own.plots import draw_axes
 from studies.study import Case, Options, Row, Study
 
 
-def own_study(definition: Definition) -> Study:
-    """The study that is defined."""
+def own_study(definition: Definition, plots: bool = True) -> Study:
+    """The study that is defined; its page shows `plots`, which are drawn apart."""
     return Study(
         definition.name,
         definition.about or definition.title,
         functools.partial(cases_of, definition),
         _Measurement(definition).measure,
-        functools.partial(page_fragment, definition),
+        functools.partial(page_fragment, definition, plots),
         functools.partial(draw_axes, definition),
         turns=(definition.turns, definition.turns),
         title=definition.title,
@@ -89,7 +89,7 @@ def run_study(
     returns its page and its rows. What was measured before is not measured again. Raises `RayBatchError`.
     """
     defined = definition_of(definition, name) if isinstance(definition, dict) else read_definition(Path(definition))
-    study, rows = own_study(defined), []
+    study, rows = own_study(defined, plots), []
     for device in defined.devices:
         run = runner.run_of(study, device, out)
         run.path.parent.mkdir(parents=True, exist_ok=True)
