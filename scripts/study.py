@@ -125,6 +125,8 @@ def run(given: argparse.Namespace, folders: OutputFolders, standard_output: IO[s
     if given.gather or given.draw:
         standard_output.write(f"{runner.write_page(study, out, not given.no_plots)}\n")
         return 0
+    for device in devices:
+        runner.device_of(device)  # before time is spent on another
     whole = [measure_on(study, device, out, given, folders, standard_output) for device in devices]
     if not all(whole):
         return 0

@@ -8,7 +8,7 @@ import contextlib
 import re
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 
 import numpy as np
 import warp as wp
@@ -98,6 +98,7 @@ class RayCollector:
 
     types: list[RayType]
     ray_count: int
+    _: KW_ONLY
     places: bool = False  # keep where in the render each ray belongs, too
     camera_rays: int = 0  # seen so far
     _waves: int = 0
@@ -237,7 +238,7 @@ def capture_rays(
     """`ray_count` rays of each type, or as many as there are, from a render of `scene` by one worker; with their
     `places` where that is asked for.
     """
-    collector = RayCollector(types, ray_count, places)
+    collector = RayCollector(types, ray_count, places=places)
     pixels = scene.scene.frame.width * scene.scene.frame.height
     samples = -(-CAMERA_RAYS_MAX * ray_count // pixels)
     # paths go no farther than is asked for, and without roulette, so that late bounces are less rare

@@ -147,6 +147,8 @@ def measured(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from benchmarking.traces.record import RAY_COUNT, RecordRequest, record_trace
 
     if options.command == "check-rays":
+        if options.device != "AUTO":
+            raise UsageError("--device has no use for check-rays, which traces nothing")
         if options.scene is None and (options.grid != 1 or options.camera or options.up):
             raise UsageError("--grid, --camera and --up are of a scene: give --scene too")
         report = check_trace(options.trace, None if options.scene is None else _scene_of(options))

@@ -14,7 +14,7 @@ from benchmarking.progress import Steps
 from benchmarking.rays import RayType
 from benchmarking.scenes import SceneRequest, load_benchmark_scene
 from benchmarking.traces.file import RayTrace, check_scene, read_trace, with_hits
-from benchmarking.traces.record import refuse_unfit, traced, tracer_named
+from benchmarking.traces.record import traced, tracer_named
 from benchmarking.traversal import described
 from raybatch_addon.core.device.devices import device_description, find_device
 from raybatch_addon.core.settings.settings import RenderSettings
@@ -68,7 +68,6 @@ def compare_hits(
     device = find_device(device_name)
     scene = load_benchmark_scene(request, pixel_count_of(trace))
     check_scene(stored, scene)
-    refuse_unfit(scene, scene.settings)
     tracer = tracer_named(tracer_name, device, RenderSettings())
     captured = trace.captured(types or trace.types(), ray_count)
     theirs = [stored.hits(rays.type, ray_count) for rays in captured]

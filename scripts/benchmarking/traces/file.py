@@ -23,6 +23,7 @@ from benchmarking.rays import CapturedRays, RayPlaces, RayType
 from benchmarking.scenes import BenchmarkScene
 from benchmarking.tracers.interface import Hits
 from raybatch_addon.core.scene.description import Scene
+from raybatch_addon.core.scene.features import derive_features
 
 FORMAT = "raybatch-rays"
 VERSION = 1
@@ -268,10 +269,23 @@ def checked_hits(path: Path, arrays: dict[str, np.ndarray], rays: dict[str, np.n
     return hits
 
 
+def refuse_unfit(scene: BenchmarkScene) -> None:
+    """Raise `UsageError` for a scene whose rays are more than a trace holds."""
+    features = derive_features(scene.scene, scene.settings)
+    what = "things move while the shutter is open, and rays have a time" if features.motion else ""
+    if scene.flat.curves:
+        what = "curves are no triangles"
+    if what:
+        raise UsageError(
+            f"{scene.name} has rays that traces do not hold: {what}; save it without them (render.py --save-scene)"
+        )
+
+
 def check_scene(trace: RayTrace, scene: BenchmarkScene) -> None:
     """Raise `UsageError` where the rays of `trace` are of other geometry than `scene`, or its hits name what is not
-    there. A trace that names no geometry is taken as it is.
+    there; or where `scene` is none that traces are of. A trace that names no geometry is taken as it is.
     """
+    refuse_unfit(scene)
     wanted = (trace.header.get("scene") or {}).get("geometry")
     if wanted and wanted != geometry_digest(scene.scene):
         raise UsageError(

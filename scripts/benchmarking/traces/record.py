@@ -8,18 +8,16 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from lib.command import UsageError
 from lib.output import write_film
 
 from benchmarking.progress import Steps
 from benchmarking.rays import CapturedRays, RayType, capture_rays
 from benchmarking.scenes import BenchmarkScene, SceneRequest, load_benchmark_scene
 from benchmarking.tracers.interface import Hits, MeasuredTracer
-from benchmarking.traces.file import ANY_HIT, CLOSEST, geometry_digest, write_trace
+from benchmarking.traces.file import ANY_HIT, CLOSEST, geometry_digest, refuse_unfit, write_trace
 from raybatch_addon.core.convergence.points import scene_hash
 from raybatch_addon.core.device.devices import device_description, find_device
 from raybatch_addon.core.measure.statistics import versions
-from raybatch_addon.core.scene.features import derive_features
 from raybatch_addon.core.settings.settings import RenderSettings
 
 RAY_COUNT = 100_000  # of each type, where --ray-count is not given
@@ -44,7 +42,7 @@ def record_trace(request: RecordRequest) -> dict[str, Any]:
     device = find_device(request.device)
     scene = load_benchmark_scene(request.scene, request.ray_count)
     settings = scene.settings.replace(**request.settings)
-    refuse_unfit(scene, settings)
+    refuse_unfit(scene)
     tracer = None if request.hits_of is None else tracer_named(request.hits_of, device, settings)
     steps = Steps(1 if tracer is None else 2)
     try:
@@ -92,16 +90,6 @@ def tracer_named(name: str, device: wp.Device, settings: RenderSettings) -> Meas
     from benchmarking.traversal import Budget, chosen_tracers, page_folder
 
     return chosen_tracers([name], device, settings, False, Budget(0, page_folder()))[0]
-
-
-def refuse_unfit(scene: BenchmarkScene, settings: RenderSettings) -> None:
-    """Raise `UsageError` for a scene whose rays are more than a trace holds."""
-    features = derive_features(scene.scene, settings)
-    what = "things move while the shutter is open, and rays have a time" if features.motion else ""
-    if scene.flat.curves:
-        what = "curves are no triangles"
-    if what:
-        raise UsageError(f"{scene.name} cannot be recorded: {what}; save it without them (render.py --save-scene)")
 
 
 def traced(tracer: MeasuredTracer, rays: CapturedRays) -> Hits:

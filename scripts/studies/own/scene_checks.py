@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib.util
 import re
+import zipfile
+from pathlib import Path
 from typing import Any
 
 from lib.command import UsageError
@@ -58,6 +60,7 @@ class SceneChecks(Checks):
             raise self.error("scenes", str(error)) from None
         if not path.is_file():
             raise self.error("scenes", f"there is no file {path}")
+        self._check_archive(key, path, kind)
         if kind == BLEND and importlib.util.find_spec("bpy") is None:
             raise self.error(
                 key,
@@ -79,6 +82,20 @@ class SceneChecks(Checks):
         except OSError as error:
             raise self.error(key, f"it cannot be read: {error.strerror or error}") from None
         return found
+
+    def _check_archive(self, key: str, path: Path, kind: str) -> None:
+        """Raise `UsageError` for an .npz that is none, or lacks what its kind has; its arrays are not read."""
+        if kind == BLEND:
+            return
+        wanted = ("header",) if kind == ARCHIVE else ("v", "f")
+        try:
+            with zipfile.ZipFile(path) as archive:
+                names = archive.namelist()
+        except (OSError, zipfile.BadZipFile) as error:
+            raise self.error(key, f"it cannot be read as a NumPy archive; is it damaged? ({error})") from None
+        if missing := [name for name in wanted if f"{name}.npy" not in names]:
+            what = "a saved scene" if kind == ARCHIVE else "geometry"
+            raise self.error(key, f"it is not {what}: it has no array {' and no array '.join(missing)}")
 
     def _camera(self, key: str, value: Any) -> str | None:
         if value is None:

@@ -8,6 +8,9 @@ import json
 from pathlib import Path
 from typing import Any
 
+from lib.command import UsageError
+
+from raybatch_addon.core.errors import RayBatchError
 from raybatch_addon.core.settings.settings import SETTINGS, RenderSettings
 from studies import runner
 from studies.bench import Bench
@@ -58,7 +61,10 @@ class _Measurement:
         defined, source = self._definition, self._scenes[case.what["scene"]]
 
         def opened() -> Any:
-            scene, self._settings[source.name] = source.open(bench.options)
+            try:
+                scene, self._settings[source.name] = source.open(bench.options)
+            except RayBatchError as error:  # not a figure of a case
+                raise UsageError(f"the scene {source.name} cannot be opened: {error}") from None
             return scene
 
         scene = bench.scene(source.key, opened)
@@ -76,9 +82,10 @@ class _Measurement:
 
 def estimator_digest(settings: RenderSettings) -> str:
     """A digest of the settings that decide the film: where it is equal films are, bit for bit, however rays are
-    scheduled.
+    scheduled. Warp's own tree (REFERENCE) meets other hits, so it counts too.
     """
     decides = {name: getattr(settings, name) for name, info in SETTINGS.items() if info.effect == "estimator"}
+    decides["reference_tree"] = settings.batching == "REFERENCE"
     return hashlib.blake2b(json.dumps(decides, sort_keys=True).encode(), digest_size=8).hexdigest()
 
 
@@ -90,6 +97,8 @@ def run_study(
     """
     defined = definition_of(definition, name) if isinstance(definition, dict) else read_definition(Path(definition))
     study, rows = own_study(defined, plots), []
+    for device in defined.devices:
+        runner.device_of(device)  # before time is spent on another
     for device in defined.devices:
         run = runner.run_of(study, device, out)
         run.path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,9 +1,10 @@
 """The notebook of the laboratory runs from top to bottom, with smaller figures than a reader's."""
 
 import json
+from pathlib import Path
 
 import pytest
-from docs_site.staging import text_of
+from docs_site.staging import text_of, with_links_within
 
 from tests.support.command_line import ROOT
 
@@ -40,4 +41,6 @@ def test_the_notebook_runs_from_top_to_bottom(monkeypatch, capsys):
 
 def test_the_site_shows_the_notebook_as_a_page():
     text = text_of(NOTEBOOK)
+    linked = with_links_within("[a](../laboratory.ipynb)", Path("studies/own.md"), Path("docs/studies/own.md"))
+    assert linked == "[a](../laboratory.md)"
     assert text.startswith("# The laboratory\n") and text.count("```python\n") == text.count("\n```\n") == 6

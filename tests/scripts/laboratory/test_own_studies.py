@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 import study as script
 from lib.command import UsageError
@@ -11,7 +12,7 @@ from studies.own.measures import MEASURES
 from studies.own.page import asked_for, page_fragment
 from studies.own.plots import plot_names
 from studies.own.sources import BUILT, NAMES
-from studies.own.study import cases_of, own_study, run_study
+from studies.own.study import cases_of, estimator_digest, own_study, run_study
 from studies.study import Options
 
 from raybatch_addon.core.scene.archive import save_scene
@@ -115,7 +116,10 @@ def test_scenes_that_studies_build_are_opened_by_name(name):
         ({"cases": [{"name": "a"}, {"name": "a", "nee": "OFF"}]}, "two cases are called 'a'"),
         ({"control": {"nee": "ON"}}, "control: there is no axis 'nee'"),
         ({"control": {"batching": "AUTO"}}, r"control: batching: 'AUTO' is not among the values .*\['OFF', 'ON'\]"),
-        ({"control": "batching OFF"}, r"control: there is no case 'batching OFF'; did you mean batching OFF, ray_count"),
+        (
+            {"control": "batching OFF"},
+            r"control: there is no case 'batching OFF'; did you mean batching OFF, ray_count",
+        ),
         ({"measures": ["second"]}, r"measures: there is no measure 'second'; did you mean seconds\?"),
         ({"measures": ["relmse"]}, r"measures: relmse is an error, .*add \[reference\] with samples"),
         ({"reference": {"samples": 64}}, "reference: no measure needs it"),
@@ -137,6 +141,16 @@ def test_files_with_faults_are_reported_in_one_line_before_anything_is_measured(
         path.write_text(text)
         assert words in error_line(call_script("study.py", path, "--out", tmp_path / "new"))
     assert "there is no file" in error_line(call_script("study.py", tmp_path / "none.toml"))
+    (tmp_path / "a.npz").write_bytes(b"no archive")
+    np.savez(tmp_path / "b.npz", v=np.zeros((3, 3)))
+    np.savez(tmp_path / "c.scene.npz", v=np.zeros((3, 3)))
+    for name, words in (
+        ("a.npz", "scenes: a.npz: it cannot be read as a NumPy archive; is it damaged?"),
+        ("b.npz", "scenes: b.npz: it is not geometry: it has no array f"),
+        ("c.scene.npz", "scenes: c.scene.npz: it is not a saved scene: it has no array header"),
+    ):
+        path.write_text(f'scenes = ["{name}"]\n[vary]\nnee = ["ON", "OFF"]\n')
+        assert words in error_line(call_script("study.py", path))
     path.write_text('scenes = ["room"]\n[vary]\nnee = ["ON", "OFF"]\n')
     assert "--quick is for the studies" in error_line(call_script("study.py", path, "--quick"))
     assert not (tmp_path / "new").exists() and not (tmp_path / "bad").exists()
@@ -261,6 +275,14 @@ def test_films_that_differ_by_the_schedule_are_named():
     for row in found:
         row["estimator"] = row["variant"]
     assert "No two cases differ in their schedule alone" in page_fragment(definition, True, {"cpu": report_of(found)})
+
+
+def test_films_are_compared_where_the_schedule_alone_differs():
+    settings = RenderSettings(batching="OFF")
+    same = estimator_digest(settings)
+    assert estimator_digest(settings.replace(batching="ON", ray_count=512, tile_size=64)) == same
+    for other in ({"seed": 1}, {"bounce_max": 1}, {"batching": "REFERENCE"}):  # whose tree is Warp's
+        assert estimator_digest(settings.replace(**other)) != same
 
 
 def test_figures_of_another_definition_are_not_drawn(tmp_path):

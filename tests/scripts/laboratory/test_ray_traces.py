@@ -1,5 +1,6 @@
 """Traces of rays: what a recorded one holds, that it is traced again, and that bad files and wrong hits are found."""
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 from benchmarking.rays import capture_rays, parse_ray_types, pixel_samples
 from benchmarking.scenes import SceneRequest, load_benchmark_scene
+from benchmarking.traces import compare, record
 from benchmarking.traces.file import FORMAT, HIT_ARRAYS, RAY_ARRAYS, geometry_digest, read_trace
 from lib.command import UsageError
 
@@ -182,6 +184,18 @@ def test_hits_of_another_tracer_are_judged(folder, tmp_path, capfd):
     assert_one_error(capfd, "array instance names no instance of mixed.scene.npz")
 
 
+def test_faults_of_our_own_end_with_an_error(folder, monkeypatch, capfd):
+    def blind(tracer, rays):
+        found = record.traced(tracer, rays)
+        return dataclasses.replace(found, hit=np.zeros_like(found.hit))
+
+    monkeypatch.setattr(compare, "traced", blind)
+    command = ["compare-hits", folder / "bowl.rays.npz", "--scene", folder / "bowl.npz", "--rays", "primary"]
+    assert run(*command, "--device", "cpu", "--tracer", "reference") == 1
+    said = capfd.readouterr()
+    assert "of RayBatch's own hits are wrong; see the report" in said.err and "faults ours" in said.out
+
+
 # --- what cannot be
 
 
@@ -243,6 +257,7 @@ def test_files_that_are_no_traces_are_named(folder, tmp_path, capfd):
         (["check-rays", folder / "bowl.rays.npz", "--scene", mixed], "whose geometry is not that of mixed.scene.npz"),
         (["check-rays", folder / "bowl.rays.npz", "--scene", bowl, "--grid", "2"], "with the same --grid"),
         (["check-rays", folder / "bowl.rays.npz", "--grid", "2"], "give --scene too"),
+        (["check-rays", folder / "bowl.rays.npz", "--device", "cpu"], "--device has no use for check-rays"),
         (["compare-hits", tmp_path / "good.npz", "--scene", bowl, "--device", "cpu"], "no hits to compare with"),
         (["traversal", "--scene", bowl, "--rays-file", tmp_path / "good.npz", "--rays", "bounce3"], "no rays bounce3"),
         (["record-rays", bowl, "--out", bowl], "is no place for what is recorded"),
@@ -259,7 +274,7 @@ def test_scenes_that_move_are_refused(tmp_path, capfd):
 
     save_scene(tmp_path / "flying.scene.npz", flying(2, 4), RenderSettings())
     assert run("record-rays", tmp_path / "flying.scene.npz", "--out", tmp_path / "o.npz", "--device", "cpu") == 1
-    assert_one_error(capfd, "flying.scene.npz cannot be recorded: things move")
+    assert_one_error(capfd, "flying.scene.npz has rays that traces do not hold: things move")
 
 
 def test_the_page_describes_every_array():
