@@ -139,6 +139,17 @@ def test_hits_name_triangles_on_which_they_lie(folder, name):
     assert (triangles["visibility"][rows] & rays["visibility"][told]).all()
 
 
+def test_tracers_that_name_no_triangles_store_distances_alone(folder):
+    trace = read_trace(folder / "bowl.rays.npz")
+    captured = trace.captured(trace.types())
+    hits = [dataclasses.replace(trace.hits(rays.type), instance=None, primitive=None) for rays in captured]
+    arrays = record.arrays_of(captured, hits)
+    assert set(arrays) == {*RAY_ARRAYS, "hit", "t"}
+    assert all(np.array_equal(arrays[name], trace.arrays[name]) for name in arrays)
+    assert sum(each[0].nbytes for each in trace.arrays.values()) == 79  # as the page says
+    assert sum(trace.arrays[name][0].nbytes for name in RAY_ARRAYS) == 58
+
+
 # --- traced again, and compared
 
 
