@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
-"""Measure RayBatch: whole renders, recording, viewports, animations, previews, and traversal alone. `benchmark.py
-COMMAND --help` says how.
+"""Measure RayBatch: whole renders, recording, viewports, animations, previews, and traversal alone, on rays that can
+be kept in files. `benchmark.py COMMAND --help` says how.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import IO, Any
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarking.in_blender import commands as in_blender
+from benchmarking.traces import commands as traces
 from lib.command import UsageError, run_command
 from lib.output import OutputFolders, leave, write_report
 from rendering.request import RESOLUTION_DEFAULT, parse_settings
@@ -72,37 +73,11 @@ Edits of each kind are replayed through what renders viewports, without a window
 being refined. Told is the time from an edit to the first picture that shows it, which has coarse pixels if need be; of
 a .blend without Blender's own part. The first edit of a kind, which may load kernels, is reported apart.
 """
-TRAVERSAL = """\
-Measure how fast tracers find hits, all on the same rays of real paths.
-
-FILE is geometry (.npz, arrays v, f and, if wanted, m), or a scene written by render.py --save-scene (.scene.npz). It is
-rendered, in a frame of about as many pixels as rays of a kind are wanted, until there are enough rays of every kind, or
-32 times as many camera rays: rays are taken in the order in which the integrator hands them to its tracer. Paths go no
-farther than is asked for, and without Russian roulette. Where a scene has no light a sun is added, and where nothing
-scatters light all becomes white.
-
-rays     primary; bounceN: rays that go on from the Nth hit of a path; shadowN: its shadow rays (any hit)
-orders   natural (the integrator's), shuffled, sorted (by octant and Morton code, before the clock starts)
-tracers  off: RayBatch's own tree without queues; off-plain: the same tree, one ray after another a thread,
-         without refill on CUDA; off-sorted: as off, and sorts its rays first; reference: Warp's tree; embree and
-         embree-robust: Intel's Embree through the package embreex, on the CPU. Default: all of these that can be
-         measured here.
-         on: rays wait at treelets, or with --budget for pages of geometry; auto: what RayBatch chooses. Controls beyond
-         memory: zero-copy (CUDA): off, its tree in pinned memory of the host, whole (zero-copy) and with only the
-         triangles there (zero-copy-triangles); ray-order (CPU): the pages of on, brought in as rays need them in their
-         order
-
-Hits are compared before anything is timed; where tracers disagree, every triangle is asked in float64, and answers
-beyond the error bound of float32 are reported as faults. Then tracers take turns, run by run. One CPU thread is
-timed by its own clock, several by the wall's, CUDA devices by their events; tracers whose rays wait for pages by the
-wall's.
-Mrays/s are medians and include the time of sorting, queues and copies.
-"""
 
 
 def argument_parser() -> argparse.ArgumentParser:
     """The command line."""
-    parser = argparse.ArgumentParser(prog="benchmark.py", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(prog="benchmark.py", description=" ".join(__doc__.split()))
     commands = parser.add_subparsers(dest="command", required=True)
 
     def command(name: str, description: str) -> argparse.ArgumentParser:
@@ -204,40 +179,7 @@ def argument_parser() -> argparse.ArgumentParser:
     whole_renders("viewport", VIEWPORT, samples=64, runs=50)
     in_blender.add_commands(command)
 
-    traversal = command("traversal", TRAVERSAL)
-    traversal.add_argument("--scene", type=Path, required=True, metavar="FILE")
-    geometry_options(traversal)
-    traversal.add_argument("--threads", default="1", metavar="T[,T]", help="threads of the CPU (default: 1)")
-    traversal.add_argument("--tracers", default="", metavar="NAME[,NAME]")
-    traversal.add_argument(
-        "--rays", default="primary,bounce1,bounce4,shadow1", metavar="KIND[,KIND]", help="default: %(default)s"
-    )
-    traversal.add_argument(
-        "--orders", default="natural,shuffled,sorted", metavar="ORDER[,ORDER]", help="default: %(default)s"
-    )
-    traversal.add_argument(
-        "--no-counters",
-        action="store_true",
-        help="leave out node steps and triangle tests, which cost a compilation and a run",
-    )
-    traversal.add_argument("--runs", type=int, default=5, help="timed runs (default: 5)")
-    traversal.add_argument(
-        "--budget",
-        metavar="BYTES",
-        default="0",
-        help="geometry on the device at most, such as 1.5G, for on, auto and ray-order (default: all of it)",
-    )
-    traversal.add_argument(
-        "--nodes",
-        choices=("resident", "paged"),
-        help="with --budget: whether all nodes stay on the device (default: where they fit well)",
-    )
-    traversal.add_argument(
-        "--ray-count",
-        type=int,
-        metavar="N",
-        help="rays of each kind (default: 1,000,000 on the CPU, 4,000,000 on CUDA)",
-    )
+    traces.add_commands(command, geometry_options)
     return parser
 
 
@@ -245,87 +187,61 @@ def measured(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
     """The report that was asked for, and the same in words; raises `RayBatchError`."""
     if options.command in in_blender.NAMES:
         return in_blender.measured(options)
+    if options.command in traces.NAMES:
+        return traces.measured(options)
     from benchmarking.scenes import SceneRequest
-    from benchmarking.tables import memory_text, recording_text, render_text, slopes_text, traversal_text, viewport_text
+    from benchmarking.tables import memory_text, recording_text, render_text, slopes_text, viewport_text
 
     counts: tuple[Any, int] = (getattr(options, "samples", None), 0)
     if options.command == "render":
         counts = options.samples or (RENDER_SAMPLES, 0)
-    for name in ("runs", "ray_count", "samples"):
+    for name in ("runs", "samples"):
         value = counts[0] if name == "samples" else getattr(options, name, None)
         if value is not None and value < 1:
             raise UsageError(f"--{name.replace('_', '-')} {value} is not valid: it must be 1 or more")
     changes, resolution = parse_settings(options.set, options.preset)
     scene = SceneRequest(options.scene, options.grid, options.camera, options.up)
-    if options.command in ("render", "recording", "viewport"):
-        from benchmarking.recording import measure_recording
-        from benchmarking.render import measure_render
-        from benchmarking.whole_render import RenderRequest
+    from benchmarking.recording import measure_recording
+    from benchmarking.render import measure_render
+    from benchmarking.whole_render import RenderRequest
 
-        if options.size:
-            resolution = parse_settings([f"resolution={options.size}"])[1]
-        watched = RenderRequest(
-            scene,
-            device=options.device,
-            samples=counts[0],
-            bounces=options.bounces,
-            threads=options.threads,
-            runs=options.runs,
-            size=resolution,
-            settings=changes,
-        )
-        if options.command == "viewport":
-            from benchmarking.viewport import measure_viewport
-
-            report = measure_viewport(watched)
-            return report, viewport_text(report)
-        if options.command == "recording":
-            if not options.samples > 1:
-                raise UsageError(
-                    f"--samples {options.samples} is not valid: it must be 2 or more, for a sample in either half"
-                )
-            report = measure_recording(watched)
-            return report, recording_text(report)
-        request = replace(
-            watched,
-            against=options.against,
-            budgets=options.budgets,
-            counters=not options.no_counters,
-            equal_error=options.equal_error,
-            picture=options.picture,
-            samples_longer=counts[1],
-            samples_given=options.samples is not None,
-        )
-        report = measure_render(request)
-        text = slopes_text if "sample_counts" in report else memory_text if "memory" in report else render_text
-        return report, text(report)
-
-    from benchmarking.orders import parse_orders
-    from benchmarking.rays import parse_ray_types
-    from benchmarking.traversal import TraversalRequest, measure_traversal
-
-    from raybatch_addon.core.settings.settings import parse_setting
-
-    if resolution:
-        raise UsageError(
-            "--set resolution has no use here: the frame has about as many pixels as there are rays (--ray-count)"
-        )
-    traced = TraversalRequest(
-        scene=scene,
+    if options.size:
+        resolution = parse_settings([f"resolution={options.size}"])[1]
+    watched = RenderRequest(
+        scene,
         device=options.device,
-        tracers=[name.strip() for name in options.tracers.split(",") if name.strip()],
-        ray_types=parse_ray_types(options.rays),
-        orders=parse_orders(options.orders),
-        threads=parse_threads(options.threads),
+        samples=counts[0],
+        bounces=options.bounces,
+        threads=options.threads,
         runs=options.runs,
-        ray_count=options.ray_count,
-        counters=not options.no_counters,
-        nodes_resident={None: None, "resident": True, "paged": False}[options.nodes],
-        budget=parse_setting("geometry_budget", options.budget),
+        size=resolution,
         settings=changes,
     )
-    report = measure_traversal(traced)
-    return report, traversal_text(report)
+    if options.command == "viewport":
+        from benchmarking.viewport import measure_viewport
+
+        report = measure_viewport(watched)
+        return report, viewport_text(report)
+    if options.command == "recording":
+        if not options.samples > 1:
+            raise UsageError(
+                f"--samples {options.samples} is not valid: it must be 2 or more, for a sample in either half"
+            )
+        report = measure_recording(watched)
+        return report, recording_text(report)
+    request = replace(
+        watched,
+        against=options.against,
+        budgets=options.budgets,
+        counters=not options.no_counters,
+        equal_error=options.equal_error,
+        picture=options.picture,
+        samples_longer=counts[1],
+        samples_given=options.samples is not None,
+    )
+    report = measure_render(request)
+    text = slopes_text if "sample_counts" in report else memory_text if "memory" in report else render_text
+    return report, text(report)
 
 
 def sample_counts(text: str) -> tuple[int, int]:
@@ -337,17 +253,10 @@ def sample_counts(text: str) -> tuple[int, int]:
     return counts[0], counts[1] if len(counts) == 2 else 0
 
 
-def parse_threads(text: str) -> list[int]:
-    """Counts of threads, such as `1,2`; raises `UsageError`."""
-    parts = [part.strip() for part in text.split(",")]
-    if not all(part.isdecimal() and 1 <= int(part) <= 1024 for part in parts):
-        raise UsageError(f"--threads {text} is not valid: give counts of 1 to 1024, such as 1,2")
-    return list(dict.fromkeys(map(int, parts)))
-
-
 def run(options: argparse.Namespace, folders: OutputFolders, standard_output: IO[str]) -> int:
     """The exit code; raises `RayBatchError`."""
-    for target in (options.json if options.json != "-" else None, getattr(options, "picture", None)):
+    files = [getattr(options, name, None) for name in ("picture", "out", "triangles")]
+    for target in (options.json if options.json != "-" else None, *files):
         if target:
             folders.prepare(Path(target).absolute())
     if options.command != "render":
@@ -362,6 +271,12 @@ def run(options: argparse.Namespace, folders: OutputFolders, standard_output: IO
     write_report(options.json, report, text, standard_output)
     if not report.get("films", {"equal": True})["equal"]:  # stands in the report, which is of use
         print(f"benchmark.py: error: films differ: {'; '.join(report['films']['differences'])}", file=sys.stderr)
+        return 1
+    if report.get("own_faults"):
+        print(
+            f"benchmark.py: error: {report['own_faults']} of RayBatch's own hits are wrong; see the report",
+            file=sys.stderr,
+        )
         return 1
     return 0
 

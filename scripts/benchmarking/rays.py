@@ -8,7 +8,7 @@ import contextlib
 import re
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 
 import numpy as np
 import warp as wp
@@ -23,6 +23,7 @@ from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.integrator import TileIntegrator
 from raybatch_addon.core.wavefront.rays import BOUNCE_SHIFT, VISIBILITY_SHIFT, Paths
 from raybatch_addon.core.wavefront.render import workers
+from raybatch_addon.core.wavefront.stages.work import TileWork
 from raybatch_addon.core.wavefront.tracers.interface import Tracer
 
 CAMERA_RAYS_MAX = 32  # camera rays that are spent at most, for each ray of a kind that is wanted
@@ -40,6 +41,20 @@ class RayType:
 
 
 @dataclass(frozen=True)
+class RayPlaces:
+    """Where in its render each ray belongs."""
+
+    pixel: np.ndarray  # column and row in the frame, from its bottom left, int32, shape [n, 2]
+    sample: np.ndarray  # of the pixel, from 0, int32, shape [n]
+    wave: np.ndarray  # number of the call that handed it to the tracer, from 0, int32, shape [n]
+    sequence: np.ndarray  # its number among all rays that were handed over, of any type, int64, shape [n]
+
+    def taken(self, order: np.ndarray) -> RayPlaces:
+        """Those of the rays `order`, indices, in that order."""
+        return RayPlaces(self.pixel[order], self.sample[order], self.wave[order], self.sequence[order])
+
+
+@dataclass(frozen=True)
 class CapturedRays:
     """Rays of one type, on the host."""
 
@@ -48,6 +63,7 @@ class CapturedRays:
     direction: np.ndarray  # unit length, float32, shape [n, 3]
     t_max: np.ndarray  # [m], float32, shape [n]
     visibility: np.ndarray  # `Visibility` bit, int32, shape [n]
+    places: RayPlaces | None = None  # where they were asked for
 
     def __len__(self) -> int:
         return len(self.t_max)
@@ -57,7 +73,7 @@ class CapturedRays:
         parts = (
             np.ascontiguousarray(part[order]) for part in (self.origin, self.direction, self.t_max, self.visibility)
         )
-        return CapturedRays(self.type, *parts)
+        return CapturedRays(self.type, *parts, None if self.places is None else self.places.taken(order))
 
 
 def parse_ray_types(text: str) -> list[RayType]:
@@ -82,7 +98,11 @@ class RayCollector:
 
     types: list[RayType]
     ray_count: int
+    _: KW_ONLY
+    places: bool = False  # keep where in the render each ray belongs, too
     camera_rays: int = 0  # seen so far
+    _waves: int = 0
+    _handed: int = 0
     _parts: dict[str, list[tuple[np.ndarray, ...]]] = field(default_factory=dict)
     _counts: dict[str, int] = field(default_factory=dict)
 
@@ -90,8 +110,8 @@ class RayCollector:
         """Whether all types are complete."""
         return all(self._counts.get(each.name, 0) >= self.ray_count for each in self.types)
 
-    def take(self, kind: RayKind, submitted: RayList, paths: Paths, rays: Rays) -> None:
-        """Copy what is wanted of rays that are handed to a tracer."""
+    def take(self, kind: RayKind, submitted: RayList, paths: Paths, rays: Rays, work: TileWork) -> None:
+        """Copy what is wanted of rays that are handed to a tracer; `work` says which tile they are of."""
         slots = submitted.slots.numpy()[: int(submitted.count.numpy()[0])]
         shadow = kind != RayKind.CLOSEST
         path = slots - paths.status.shape[0] if shadow else slots
@@ -107,14 +127,21 @@ class RayCollector:
             left = self.ray_count - self._counts.get(wanted.name, 0)
             if wanted.shadow != shadow or left <= 0:
                 continue
-            chosen = slots[bounce == wanted.bounce][:left]
+            where = np.flatnonzero(bounce == wanted.bounce)[:left]
+            chosen = slots[where]
             if len(chosen):
                 indices = wp.array(chosen, dtype=int, device=rays.origin.device)
                 columns = [_gathered(column, indices) for column in (rays.origin, rays.direction, rays.t_max)]
                 # the tracer's own array is there only if it reads it
                 seen = np.full(len(chosen), int(Visibility.SHADOW)) if shadow else _kinds(status[chosen])
-                self._parts.setdefault(wanted.name, []).append((*columns, seen.astype(np.int32)))
+                if self.places:
+                    pixel, sample = pixel_samples(work, paths.item.numpy()[path[where]])
+                    wave = np.full(len(chosen), self._waves, np.int32)
+                    columns += [pixel, sample, wave, self._handed + where.astype(np.int64)]
+                self._parts.setdefault(wanted.name, []).append((*columns[:3], seen.astype(np.int32), *columns[3:]))
                 self._counts[wanted.name] = self._counts.get(wanted.name, 0) + len(chosen)
+        self._waves += 1
+        self._handed += len(slots)
 
     def captured(self) -> list[CapturedRays]:
         """The rays by type, in the order of `types`; raises `UsageError` for a type of which there are none."""
@@ -125,11 +152,8 @@ class RayCollector:
                     f"the paths of this scene have no rays {wanted.name} (in {self.camera_rays:,} camera rays); leave "
                     "them out of --rays"
                 )
-            found.append(
-                CapturedRays(
-                    wanted, *(np.concatenate(column) for column in zip(*self._parts[wanted.name], strict=True))
-                )
-            )
+            columns = [np.concatenate(column) for column in zip(*self._parts[wanted.name], strict=True)]
+            found.append(CapturedRays(wanted, *columns[:4], RayPlaces(*columns[4:]) if self.places else None))
         return found
 
 
@@ -137,6 +161,22 @@ def _kinds(status: np.ndarray) -> np.ndarray:
     """The `Visibility` bits of extending rays, of which `visibility_of` is the kernels' function."""
     kinds = status >> VISIBILITY_SHIFT & 31
     return np.where(kinds == int(Visibility.SHADOW), int(Visibility.VOLUME_SCATTER), kinds)
+
+
+def pixel_samples(work: TileWork, number: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels in the frame, int32, shape [n, 2], and samples, int32, shape [n], of the paths `number` of a tile: the
+    host's twin of `pixel_sample`.
+    """
+    width, height = int(work.width), int(work.height)
+    item = int(work.item_base) + number.astype(np.int64)
+    slow, fast = np.divmod(item, int(work.sample_count) if work.pixel_first else width * height)
+    pixel, sample = (slow, fast) if work.pixel_first else (fast, slow)
+    strip, rest = np.divmod(pixel, 8 * width)  # tiles are walked in blocks of 8 x 8
+    rows = np.minimum(8, height - 8 * strip)
+    block, rest = np.divmod(rest, 8 * rows)
+    row, column = np.divmod(rest, np.minimum(8, width - 8 * block))
+    place = np.stack([int(work.x) + 8 * block + column, int(work.y) + 8 * strip + row], 1)
+    return place.astype(np.int32), (int(work.sample_first) + sample).astype(np.int32)
 
 
 def _gathered(array: wp.array, indices: wp.array) -> np.ndarray:
@@ -149,11 +189,12 @@ class ObservedTracer:
 
     def __init__(self, tracer: Tracer, paths: Paths, rays: Rays, collector: RayCollector):
         self._tracer, self._paths, self._rays, self._collector = tracer, paths, rays, collector
+        self.work: TileWork | None = None  # of the tile that is rendered
 
     def submit(self, kind: RayKind, rays: RayList) -> None:
         """See `Tracer.submit`."""
         if rays.bound and not self._collector.enough():
-            self._collector.take(kind, rays, self._paths, self._rays)
+            self._collector.take(kind, rays, self._paths, self._rays, self.work)
         self._tracer.submit(kind, rays)
 
     def __getattr__(self, name: str):
@@ -172,6 +213,12 @@ def observed(collector: RayCollector) -> Iterator[None]:
             if self._tracer is not None:
                 self._tracer = ObservedTracer(self._tracer, self._paths, self._rays, collector)
 
+        def _begin_tile(self, *arguments):
+            work, film = super()._begin_tile(*arguments)
+            if self._tracer is not None:
+                self._tracer.work = work
+            return work, film
+
     original = workers.TileIntegrator
     workers.TileIntegrator = ObservedIntegrator
     try:
@@ -181,10 +228,17 @@ def observed(collector: RayCollector) -> Iterator[None]:
 
 
 def capture_rays(
-    scene: BenchmarkScene, settings: RenderSettings, types: list[RayType], ray_count: int, device: str
+    scene: BenchmarkScene,
+    settings: RenderSettings,
+    types: list[RayType],
+    ray_count: int,
+    device: str,
+    places: bool = False,
 ) -> list[CapturedRays]:
-    """`ray_count` rays of each type, or as many as there are, from a render of `scene` by one worker."""
-    collector = RayCollector(types, ray_count)
+    """`ray_count` rays of each type, or as many as there are, from a render of `scene` by one worker; with their
+    `places` where that is asked for.
+    """
+    collector = RayCollector(types, ray_count, places=places)
     pixels = scene.scene.frame.width * scene.scene.frame.height
     samples = -(-CAMERA_RAYS_MAX * ray_count // pixels)
     # paths go no farther than is asked for, and without roulette, so that late bounces are less rare

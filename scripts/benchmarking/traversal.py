@@ -20,6 +20,7 @@ from benchmarking.tracers.batching import Budget, WaitingTracer, ZeroCopyTracer
 from benchmarking.tracers.embree import PACKAGE, EmbreeTracer, embree_version
 from benchmarking.tracers.interface import MeasuredTracer, Timing, Tree
 from benchmarking.tracers.stages import SceneTrees, StageTracer
+from benchmarking.traces.file import check_scene, read_trace
 from raybatch_addon.blender.kernel_cache import kernel_cache_folder
 from raybatch_addon.core.device.devices import device_description, find_device
 from raybatch_addon.core.measure.statistics import versions
@@ -44,6 +45,7 @@ class TraversalRequest:
     threads: list[int]  # CPU only
     runs: int
     ray_count: int | None = None
+    rays_file: Path | None = None  # a trace whose rays are taken; `ray_types` may then be empty: all that it has
     counters: bool = True  # report node steps and triangle tests where the tracer can
     nodes_resident: bool | None = None  # whether all nodes stay on the device; None: where they fit well
     budget: int = 0  # bytes of geometry on the device, for tracers that let rays wait; 0: all of it
@@ -114,13 +116,18 @@ def measure_traversal(request: TraversalRequest) -> dict[str, Any]:
         Budget(request.budget, page_folder(), request.nodes_resident),
     )
     ray_count = request.ray_count or RAY_COUNT["cuda" if device.is_cuda else "cpu"]
+    trace = read_trace(request.rays_file) if request.rays_file else None
+    types = request.ray_types or (trace.types() if trace else [])
     scene = load_benchmark_scene(request.scene, ray_count)
-    steps = Steps(1 + len(tracers) + len(request.ray_types) * (1 + len(request.orders) * len(request.threads)))
+    steps = Steps(1 + len(tracers) + len(types) * (1 + len(request.orders) * len(request.threads)))
     try:
-        steps.begin(f"taking rays from a render of {scene.name}")
-        captured = capture_rays(
-            scene, scene.settings.replace(**request.settings), request.ray_types, ray_count, device.alias
-        )
+        steps.begin(f"taking rays from {trace.name if trace else f'a render of {scene.name}'}")
+        if trace:
+            check_scene(trace, scene)
+            captured = trace.captured(types, request.ray_count)
+        else:
+            settings = scene.settings.replace(**request.settings)
+            captured = capture_rays(scene, settings, types, ray_count, device.alias)
         steps.end()
         trees: dict[str, Tree] = {}
         for tracer in tracers:
@@ -159,6 +166,7 @@ def measure_traversal(request: TraversalRequest) -> dict[str, Any]:
         "device": device_description(device),
         "versions": versions() | ({"embree": embree_version()} if set(EMBREE) & set(trees) else {}),
         "scene": scene.name,
+        **({"rays_file": trace.name} if trace else {}),
         "triangles": scene.triangle_count,
         "build_s": round(own.build_seconds, 4),
         "bvh_bytes": own.bytes,

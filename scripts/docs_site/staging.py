@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -50,8 +51,11 @@ PARTS = {
         "textures-beyond-memory.md",
         "statistics.md",
         "library.md",
+        "laboratory.md",
         "convergence.md",
+        "ray-traces.md",
         "studies/README.md",
+        "studies/own.md",
         "studies/*.md",
         "experiments/*.md",
     ),
@@ -59,6 +63,7 @@ PARTS = {
     "The project": BESIDE,
 }
 FIRST, FIRST_OF_SITE = "README.md", "index.md"
+NOTEBOOK = ".ipynb"  # how notebooks end, which are pages too
 _LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^)\s]+)\)")
 _CODE = re.compile(r"^(?:```|~~~).*?^(?:```|~~~)[ \t]*$", re.MULTILINE | re.DOTALL)
 
@@ -107,6 +112,8 @@ def with_links_within(text: str, page: Path, original: Path) -> str:
         site = meant.removeprefix(f"docs{os.sep}") if meant.startswith(f"docs{os.sep}") else meant
         if (ROOT / meant).is_dir() or (site == meant and meant not in BESIDE):
             return found[0] if mark else label
+        if site.endswith(NOTEBOOK):
+            site = site.removesuffix(NOTEBOOK) + ".md"
         site = FIRST_OF_SITE if meant == os.path.join("docs", FIRST) else site
         return f"{mark}[{label}]({Path(os.path.relpath(site, page.parent)).as_posix()}{hash_mark}{anchor})"
 
@@ -117,14 +124,24 @@ def with_links_within(text: str, page: Path, original: Path) -> str:
     return "".join([*parts, _LINK.sub(rewritten, text[end:])])
 
 
+def text_of(path: Path) -> str:
+    """A page in Markdown; of a notebook its texts, and its code as blocks."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix != NOTEBOOK:
+        return text
+    cells = [(cell["cell_type"], "".join(cell["source"])) for cell in json.loads(text)["cells"]]
+    return "\n\n".join(source if kind == "markdown" else f"```python\n{source}\n```" for kind, source in cells) + "\n"
+
+
 def stage(folder: Path) -> None:
     """Lay the site's sources out in `folder`, which is made anew."""
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(DOCS, folder)
-    sources = {path.relative_to(DOCS).as_posix(): path for path in DOCS.rglob("*.md")}
+    pages = [*DOCS.rglob("*.md"), *DOCS.rglob(f"*{NOTEBOOK}")]
+    sources = {path.relative_to(DOCS).with_suffix(".md").as_posix(): path for path in pages}
     sources |= {name: ROOT / name for name in BESIDE}
     parts = pages_of(PARTS, set(sources) - {FIRST})
     for name, path in sources.items():
-        text = with_links_within(path.read_text(encoding="utf-8"), Path(name), path.relative_to(ROOT))
+        text = with_links_within(text_of(path), Path(name), path.relative_to(ROOT))
         (folder / name).write_text(text + (contents(parts) if name == FIRST else ""), encoding="utf-8")
     (folder / FIRST).rename(folder / FIRST_OF_SITE)

@@ -180,7 +180,7 @@ def draw_curves(reports: dict[str, Report], folder: Path, file: str, against: Se
     names = list(dict.fromkeys(name for report, scene, _ in wanted for name in variants(report, scene)))
     for axis, (report, scene, x) in zip(axes, wanted, strict=True):
         for variant in variants(report, scene):
-            color = COLORS[names.index(variant)]
+            color = COLORS[names.index(variant) % len(COLORS)]
             for index, row in enumerate(runs(report, scene, variant)):
                 points = [(p[x], p["rmse"]) for p in row["points"] if p[x] > 0]
                 label = variant if index == 0 else None

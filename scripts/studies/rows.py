@@ -21,7 +21,7 @@ def alike(header: dict[str, Any]) -> dict[str, Any]:
     one.
     """
     device, versions = header.get("device") or {}, header.get("versions") or {}
-    own = {name: header.get(name) for name in ("study", "device_kind", "quick")}
+    own = {name: header.get(name) for name in ("study", "device_kind", "quick", "definition")}
     return own | {"device": device.get("name"), "raybatch": versions.get("raybatch"), "warp": versions.get("warp")}
 
 
@@ -38,6 +38,11 @@ class RowFile:
             found, self.rows = read_rows(path)
             wanted = alike(header)
             for name, value in alike(found).items():
+                if value != wanted[name] and name == "definition":
+                    raise UsageError(
+                        f"{path} holds rows that were measured with other common settings, or another reference: "
+                        "choose another --out, or give --fresh to measure all of it again"
+                    )
                 if value != wanted[name]:
                     raise UsageError(
                         f"{path} holds rows with {name} = {value!r}, and this is {wanted[name]!r}: choose another "
@@ -115,7 +120,7 @@ def read_report(path: Path) -> Report:
     """What `write_report` wrote; raises `UsageError`."""
     try:
         report = json.loads(path.read_text(encoding="utf-8"))
-        if report["rows"] and None not in alike(report).values():
+        if report["rows"] and None not in (alike(report) | {"definition": ""}).values():
             return report
     except (OSError, ValueError, KeyError, TypeError):
         pass

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from studies.curves import judge_anew
 from studies.pages import put_fragment
 from studies.rows import RowFile, gathered, read_report, write_report
 from studies.scenes import FILES, find
-from studies.study import Case, Options, Report, Study, groups_of
+from studies.study import Case, Options, Report, Study, groups_of, part_of
 
 DATA = "data"  # folder beside the pages
 
@@ -33,6 +34,54 @@ def device_of(name: str) -> dict[str, Any]:
 def kind_of(device: dict[str, Any]) -> str:
     """`cpu` or `cuda`: what files are called by."""
     return "cuda" if device["alias"].startswith("cuda") else "cpu"
+
+
+@dataclass(frozen=True)
+class Run:
+    """What is to be measured of a study on one device."""
+
+    study: Study
+    options: Options
+    device: dict[str, Any]  # as statistics state it
+    cases: list[Case]
+    path: Path  # of the rows
+
+    @property
+    def rows_wanted(self) -> int:
+        """How many rows there are when all is measured."""
+        return len(self.cases) * self.options.turns
+
+    def _rows(self) -> RowFile:
+        return RowFile(self.path, header_of(self.study, self.options, self.device))
+
+    def rows_there(self) -> int:
+        """How many of them are measured."""
+        file = self._rows()
+        return sum(file.has(case.key, turn) for case in self.cases for turn in range(self.options.turns))
+
+    def measured(self, seconds: float | None = None) -> bool:
+        """Measure what the file of rows does not have; returns whether all is there. See `measure`."""
+        return measure(self.study, self.cases, self.options.turns, self._rows(), self.options, seconds)
+
+
+def run_of(
+    study: Study,
+    device_name: str,
+    out: Path,
+    *,
+    quick: bool = False,
+    turns: int | None = None,
+    scenes: tuple[Path, ...] = (),
+    part: tuple[int, int] | None = None,
+) -> Run:
+    """What a study measures on a device, or a `part` of it; raises `RayBatchError`."""
+    device = device_of(device_name)
+    kind = kind_of(device)
+    turns = turns or study.turns[0 if quick else 1]
+    # references that are made with other settings of a study are kept apart
+    options = Options(device["alias"], quick, turns, scenes, out / "cache" / study.definition, kind == "cuda")
+    cases = study.cases(options)
+    return Run(study, options, device, part_of(cases, *part) if part else cases, rows_path(out, study, kind, part))
 
 
 def measure(
@@ -80,6 +129,7 @@ def header_of(study: Study, options: Options, device: dict[str, Any]) -> dict[st
         "quick": options.quick,
         "device": device,
         "versions": versions(),
+        **({"definition": study.definition} if study.definition else {}),
     }
 
 
@@ -110,6 +160,11 @@ def reports_of(study: Study, out: Path) -> dict[str, Report]:
         path = _data_path(study, kind, out)
         if path.is_file():
             found[kind] = read_report(path)
+            if found[kind].get("definition", "") != study.definition:
+                raise UsageError(
+                    f"{path} was measured with other common settings, or another reference: measure it again, with "
+                    "--fresh, or choose another --out"
+                )
     if not found:
         raise UsageError(
             f"{out / DATA} has no figures of the study {study.name}: measure it first, or give its rows with --gather"
@@ -126,5 +181,6 @@ def write_page(study: Study, out: Path, plots: bool = True) -> Path:
     if plots:
         study.draw(reports, out)
     page = out / f"{study.name}.md"
-    put_fragment(page, study.name, study.name.replace("-", " ").capitalize(), study.fragment(reports))
+    title = study.title or study.name.replace("-", " ").capitalize()
+    put_fragment(page, study.name, title, study.fragment(reports))
     return page

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -49,7 +49,11 @@ class Study:
     measure: Callable[[Case, int, Bench], Row]  # one turn of a case
     fragment: Callable[[dict[str, Report]], str]  # markdown of the reports by device
     draw: Callable[[dict[str, Report], Path], None]  # plots into a folder, as NAME-*.svg
+    _: KW_ONLY
     turns: tuple[int, int] = (2, 3)  # quick, full
+    title: str = ""  # of the page; empty: made of the name
+    # digest of what is measured, of a study that a user defines: rows of another one do not go with it
+    definition: str = ""
 
 
 def groups_of(cases: Sequence[Case]) -> dict[str, list[Case]]:

@@ -16,7 +16,7 @@ from benchmarking.rays import CapturedRays
 from benchmarking.scenes import BenchmarkScene
 from benchmarking.timing import seconds_of
 from benchmarking.tracers.interface import Hits, MeasuredTracer, Timing, Tree
-from benchmarking.tracers.stages import SceneTrees, StageTracer, slot_list, upload_rays
+from benchmarking.tracers.stages import SceneTrees, StageTracer, hits_of, slot_list, upload_rays
 from raybatch_addon.core.bvh.build.scene_tree import layout_for
 from raybatch_addon.core.bvh.memory import GeometrySize
 from raybatch_addon.core.bvh.pages.build import build_paged_scene
@@ -182,8 +182,7 @@ class WaitingTracer(MeasuredTracer):
     def hits(self) -> Hits:
         if self.plan.method is Method.UNBATCHED:
             return self._off.hits()
-        hit = self._rays.hit_instance.numpy() >= 0
-        return Hits(hit, None if self._any_hit else self._rays.hit_t.numpy())
+        return hits_of(self._rays, self._any_hit)
 
     def work(self) -> dict[str, Any]:
         if self.plan.method is Method.UNBATCHED:

@@ -36,6 +36,11 @@ class Hits:
 
     hit: np.ndarray  # bool, shape [n]
     t: np.ndarray | None  # [m], float32, shape [n], where `hit`; None for occlusion rays
+    # where `hit`, of tracers that tell: the instance of the scene, the triangle of its mesh, int32, shape [n] each, and
+    # the weights of the triangle's second and third corner, float32, shape [n, 2]
+    instance: np.ndarray | None = None
+    primitive: np.ndarray | None = None
+    uv: np.ndarray | None = None
 
 
 class MeasuredTracer(ABC):

@@ -155,8 +155,7 @@ class StageTracer(MeasuredTracer):
         part.stage.launch(self._built.tree, self._rays, part.in_order or part.listed, None)
 
     def hits(self) -> Hits:
-        hit = self._rays.hit_instance.numpy() >= 0
-        return Hits(hit, None if self._any_hit else self._rays.hit_t.numpy())
+        return hits_of(self._rays, self._any_hit)
 
     def work(self) -> dict[str, Any]:
         if not self._counts:
@@ -176,6 +175,14 @@ class StageTracer(MeasuredTracer):
             if there
         }
         return super().work() | found | {"lanes_active": shares if self._device.is_cuda else None}
+
+
+def hits_of(rays: Rays, any_hit: bool) -> Hits:
+    """What kernels left in `rays`; of rays that ask for any hit only whether there is one."""
+    hit = rays.hit_instance.numpy() >= 0
+    if any_hit:
+        return Hits(hit, None)
+    return Hits(hit, rays.hit_t.numpy(), rays.hit_instance.numpy(), rays.hit_primitive.numpy(), rays.hit_uv.numpy())
 
 
 def slot_list(part: slice, device: wp.Device) -> RayList:
