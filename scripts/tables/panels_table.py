@@ -116,7 +116,7 @@ def _values(info: SettingInfo) -> str:
         at_first = "At first *Auto*"
         least = info.least or info.multiple if least == info.auto and info.unit != BYTES else least
     elif info.off is not None and info.default == info.off:
-        at_first = "At first without a limit"
+        at_first = "At first off" if info.unit == BYTES else "At first without a limit"
     else:
         at_first = f"At first {_number(info.default)}"
     bounds = (

@@ -138,8 +138,8 @@ def _vertices_of(mesh: Mesh) -> int:
 
 
 def check_counts(size: GeometrySize, paged: bool = False, corners: bool = False) -> None:
-    """Raise `SceneError` for more than indices can name. `paged`: trees are built part by part, so that nothing lists
-    the corners of all triangles, but for normals where there are some; `corners`: as for `with_motion`.
+    """Raise `SceneError` for more than indices can name. `paged`: trees are built part by part, so that nothing of the
+    geometry lists the corners of all triangles, but for normals where there are some; `corners`: as for `with_motion`.
     """
     cure, steps = "instances of one mesh in place of copies", " at all steps of motion blur"
     at_steps = max(size.step_normals, corners * size.step_triangles)

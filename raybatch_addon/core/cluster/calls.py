@@ -35,10 +35,11 @@ def keep_copies(dask_scheduler=None):
 
 
 def failed_on(key, dask_scheduler=None):
-    """The hosts on which the task `key` raised its error."""
+    """The hosts on which the task `key`, or the one that it failed by, raised its error."""
     from distributed.comm import get_address_host
 
     task = dask_scheduler.tasks.get(key)
+    task = task and (task.exception_blame or task)
     return sorted({get_address_host(address) for address in (task.erred_on or () if task else ())})
 
 

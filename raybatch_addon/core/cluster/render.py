@@ -233,6 +233,7 @@ class ClusterRender:
         beside = share["seconds"] - share["seconds_rendering"]
         self._deal.note(task.samples, share["seconds_rendering"], beside if share["worker"] in self._prepared else None)
         self._prepared.add(share["worker"])
+        self.left_out.note_work()
         self.rays += share["rays"]["total"]
         self._unsafe.append(_Film(task.samples, 0, task.done, (task.hosts,)))
 
@@ -249,9 +250,7 @@ class ClusterRender:
         self._render_again(task.samples, task.futures)
 
     def _blame(self, future: Any, samples: SampleRange, why: str) -> None:
-        """Count a failure against the machine that is at fault; where none is, against `samples`. Raises `ClusterError`
-        where these failed too often.
-        """
+        """Count a failure against its machine, or else against `samples`; raises `ClusterError` for one too many."""
         if host := self._connection.failed_on(future):
             self.left_out.count(host, f"{host} cannot do its part: {why}", is_diagnosed(future))
             return

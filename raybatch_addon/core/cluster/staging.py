@@ -30,8 +30,9 @@ class LeftOut:
 
     def __init__(self, events: ClusterEvents):
         self._events = events
-        self._failures: dict[str, int] = {}  # by host
+        self._failures: dict[tuple[str, bool], int] = {}  # by host, and whether it was to keep parts of the scene
         self._until: dict[str, float] = {}  # by host
+        self._spells: dict[str, int] = {}  # by host: times that it was left out since some machine did its part
         self._why = ""  # of the last of them
 
     def __contains__(self, host: str) -> bool:
@@ -54,25 +55,33 @@ class LeftOut:
 
     def see(self, hosts: set[str], known: set[str]) -> None:
         """`hosts` are there, and render; `known` did not long ago, and may again. Raises `ClusterError` where all of
-        these are left out.
+        these are left out, or were twice since some machine did its part.
         """
         now = time.monotonic()
         self._until = {host: end for host, end in self._until.items() if now < end}
-        if hosts and hosts | known <= self._until.keys():
+        hopeless = self._until.keys() | {host for host, spells in self._spells.items() if spells > 1}
+        if hosts and hosts | known <= hopeless:
             raise ClusterError(self._why)
 
-    def count(self, host: str, why: str, is_certain: bool = False) -> None:
-        """`host` failed once more; it is left out where it did so often, or would again for certain."""
-        self._failures[host] = self._failures.get(host, 0) + 1
-        if (is_certain or self._failures[host] >= _TRIES) and host not in self:
+    def count(self, host: str, why: str, is_certain: bool = False, keeping: bool = False) -> None:
+        """`host` failed once more, where it was to keep parts of the scene or to do its part; it is left out where it
+        did so often, or would again for certain.
+        """
+        failures = self._failures[host, keeping] = self._failures.get((host, keeping), 0) + 1
+        if (is_certain or failures >= _TRIES) and host not in self:
             self._why = why
             self._events.note("MACHINE_LEFT_OUT", host, why)
             self._until[host] = time.monotonic() + LEFT_OUT_SECONDS
-            self.forgive(host)
+            self._spells[host] = self._spells.get(host, 0) + 1
+            self._failures.pop((host, keeping))
 
-    def forgive(self, host: str) -> None:
-        """What failed there before does not count any more."""
-        self._failures.pop(host, None)
+    def keeps(self, host: str) -> None:
+        """`host` has all parts: what failed before does not count any more."""
+        self._failures.pop((host, True), None)
+
+    def note_work(self) -> None:
+        """Some machine did its part: the render gets on."""
+        self._spells.clear()
 
 
 class Staging:
@@ -105,21 +114,25 @@ class Staging:
         for host, (address, future) in [*self._asked.items()]:
             if future.done():
                 del self._asked[host]
-                if (found := self._result(host, future)) is not None:
+                if (found := self._result(host, future)) is not None and host not in self._left_out:
                     self._lacking[host] = self._bundles(found)
                     self._go_on(host, address)
         for (host, bundle), (address, future) in [*self._sending.items()]:
             if future.done():
                 del self._sending[host, bundle]
-                if self._result(host, future) is None and host not in self._left_out:
+                came = self._result(host, future) is not None
+                if host in self._left_out:  # by what else it did, perhaps: it is asked anew when it is back
+                    self._lacking.pop(host, None)
+                    continue
+                if not came:
                     self._lacking.setdefault(host, []).append(bundle)
-                if host not in self._left_out:
-                    self._go_on(host, address)
+                self._go_on(host, address)
         if not self._sending:
             self._sent.clear()
 
     def _is_under_way(self, host: str) -> bool:
-        return host in self._asked or host in self._lacking or host in self._left_out
+        is_sent = any(each == host for each, _ in self._sending)
+        return host in self._asked or is_sent or host in self._left_out
 
     def _go_on(self, host: str, address: str) -> None:
         """Send what `host` lacks, some at a time; it is ready where it lacks nothing."""
@@ -133,7 +146,7 @@ class Staging:
         if not left and not any(each == host for each, _ in self._sending):
             self._lacking.pop(host, None)
             self.ready.add(host)
-            self._left_out.forgive(host)
+            self._left_out.keeps(host)
 
     def _bundles(self, digests: list[str]) -> list[Bundle]:
         bundles, own, size = [], list[str](), 0
@@ -153,9 +166,7 @@ class Staging:
         found = told(future)
         if not isinstance(found, dict):
             return found
-        self._left_out.count(host, f"{host} cannot keep the scene: {found['text']}")
-        if host in self._left_out:
-            self._lacking.pop(host, None)
+        self._left_out.count(host, f"{host} cannot keep the scene: {found['text']}", keeping=True)
         return None
 
     def _drop_gone(self, there: set[str]) -> None:

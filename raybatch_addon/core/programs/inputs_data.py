@@ -211,6 +211,11 @@ def corner_values(scene: Scene, of_meshes: dict[int, np.ndarray], width: int) ->
             continue
         # corners in the order that the geometry has them
         chunks.append((values[:, [0, 2, 1]] if mirrored else values).reshape(-1, width))
+        if count + len(chunks[-1]) > _NUMBERS_MOST:
+            raise SceneError(
+                f"the triangles whose UV maps or generated coordinates materials read have more than {_NUMBERS_MOST:,} "
+                "corners, which is what can be indexed; use fewer triangles, or instances of one mesh"
+            )
         first[i] = count
         count += len(chunks[-1])
     values = np.concatenate(chunks).astype(np.float32) if chunks else np.zeros((0, width), np.float32)

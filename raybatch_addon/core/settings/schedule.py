@@ -212,8 +212,8 @@ class SchedulerSettings:
     treelet_cache: int = setting(
         0,
         "Cached",
-        "Memory of the treelets visited last, through which rays go on without waiting, as if a cache held them; with "
-        "{rest} they wait at each treelet",
+        "Memory of the treelets whose buckets were served last, through which rays go on without waiting, as if a "
+        "cache held them; with {rest} they wait at each treelet",
         group="SCHEDULER",
         effect="schedule",
         unit=BYTES,

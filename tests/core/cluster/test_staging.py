@@ -20,15 +20,16 @@ class Cluster:
     """A connection to workers that answer at once; those of `full` machines cannot keep a part."""
 
     def __init__(self, *full):
-        self.full, self.asked, self.known = set(full), [], set()
+        self.full, self.asked, self.known, self.slow = set(full), [], set(), set()
 
     def submit(self, name, *_arguments, workers, priority):
         host = workers[0].removeprefix("tcp://").removesuffix(":1")
         self.asked.append((name, host))
         found = ["one", "two"] if name == "lacks" else 2
+        done = lambda: name == "lacks" or host not in self.slow  # noqa: E731
         if name == "put" and host in self.full:
             found = {"error": "StoreError", "text": "No space left on device"}
-        return SimpleNamespace(done=lambda: True, status="finished", result=lambda timeout: found)
+        return SimpleNamespace(done=done, status="finished", result=lambda timeout: found)
 
     def known_hosts(self, seconds):
         assert seconds == RETURN_SECONDS
@@ -84,6 +85,46 @@ def test_failures_before_a_machine_had_the_scene_do_not_count(clock):
         cluster.full = set()
         steps(staging)
         assert staging.ready == {"a", "b"}
+
+
+def test_a_machine_that_is_left_out_while_parts_come_is_asked_again(clock):
+    cluster, left_out = Cluster(), LeftOut(ClusterEvents())
+    staging, cluster.slow = Staging(cluster, PARTS, left_out), {"b"}
+    steps(staging, count=3)
+    left_out.count("b", "b cannot merge", is_certain=True)
+    cluster.slow = set()
+    steps(staging, count=3)
+    assert staging.ready == {"a"}
+    clock.seconds = LEFT_OUT_SECONDS
+    steps(staging)
+    assert staging.ready == {"a", "b"}
+
+
+def test_machines_that_fail_again_and_again_end_the_render(clock):
+    """One after another, so that they are never left out at the same time."""
+    left_out = LeftOut(ClusterEvents())
+    for host in ("a", "b", "a"):
+        left_out.count(host, f"{host} has no room", is_certain=True)
+        clock.seconds += LEFT_OUT_SECONDS
+        left_out.see({"a", "b"}, set())
+    left_out.note_work()
+    for host in ("b", "a", "b"):
+        left_out.count(host, f"{host} has no room", is_certain=True)
+        clock.seconds += LEFT_OUT_SECONDS
+        left_out.see({"a", "b"}, set())
+    left_out.count("a", "a has no room", is_certain=True)
+    with pytest.raises(ClusterError, match="a has no room"):
+        left_out.see({"a", "b"}, set())
+
+
+def test_parts_that_are_missing_do_not_forgive_what_failed_otherwise(clock):
+    cluster, left_out = Cluster(), LeftOut(ClusterEvents())
+    staging = Staging(cluster, PARTS, left_out)
+    for _ in range(3):
+        steps(staging)
+        staging.again()
+        left_out.count("b", "b cannot render")
+    assert left_out.hosts == {"b"}
 
 
 def test_no_machine_that_can_keep_parts_is_an_error(clock):

@@ -6,8 +6,8 @@ tiles are brought that were missing.
 
 Some ray always goes on: among those that wait that of the least slot leads the next turn, in which all of its tiles are
 marked, and stay or come before all others. A pool has slots for all that one ray may need, so the leader's are there a
-turn later, but for those of look-ups whose coordinates were not known; these are marked then, and a program has few of
-them.
+turn later, on a GPU after some turns, but for those of look-ups whose coordinates were not known; these are marked
+then, and a program has few of them.
 """
 
 from __future__ import annotations

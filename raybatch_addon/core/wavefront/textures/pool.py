@@ -43,7 +43,7 @@ class TileTotals:
     evicted: int = 0
     bytes: int = 0  # of the fetched ones
     turns: int = 0  # in which some were
-    seconds: float = 0.0  # that took
+    seconds: float = 0.0  # that took the host
     looked: int = 0  # times that a ray looked up images in tiles
     waited: int = 0  # times that it had to wait
     lost: int = 0  # look-ups that found no tile: a fault

@@ -11,7 +11,7 @@ from raybatch_addon.core.wavefront.tracers.buckets.assigned.immediate import Rec
 from raybatch_addon.core.wavefront.tracers.buckets.assigned.lazy import Lazy
 from raybatch_addon.core.wavefront.tracers.buckets.assigned.policies import assignment_of
 from raybatch_addon.core.wavefront.tracers.buckets.policy import Selection
-from raybatch_addon.core.wavefront.tracers.buckets.tracer import processor_count
+from raybatch_addon.core.wavefront.tracers.buckets.tracer import few_rays, processor_count
 
 
 def chosen(policy, *loads) -> list[int]:
@@ -66,3 +66,12 @@ def test_processors_are_those_of_the_device_unless_said_otherwise(device):
     there = wp.get_device(device)
     assert processor_count(RenderSettings(), there) == (there.sm_count if there.is_cuda else 1)
     assert processor_count(RenderSettings(bucket_processors=7), there) == 7
+
+
+@pytest.mark.parametrize("is_cuda", [False, True])
+def test_a_sweep_alone_is_worth_while_for_many_rays(is_cuda):
+    sweep = few_rays(RenderSettings(bucket_selection="ALL"), is_cuda)
+    assert sweep > few_rays(RenderSettings(bucket_selection="MOST_FULL"), is_cuda)
+    for chosen in ({"treelet_cache": 1}, {"treelet_prefetch": "ON"}):
+        asked = RenderSettings(bucket_selection="ALL", **chosen)
+        assert few_rays(asked, is_cuda) == few_rays(RenderSettings(bucket_selection="LAZY"), is_cuda) < sweep

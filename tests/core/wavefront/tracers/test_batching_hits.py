@@ -204,6 +204,15 @@ def test_settings_change_no_hit(settings, layout, storage):
     assert (totals.rays_unbatched > 0) == ("rays_few" in settings)
 
 
+@pytest.mark.parametrize("parallel", PARALLEL)
+@pytest.mark.parametrize("size", [{"queue_size": 1}, {}])
+@pytest.mark.parametrize("selection", SELECTIONS)
+def test_no_ray_is_lost_where_both_queues_of_a_bucket_are_served(selection, size, parallel):
+    """The exit queue gets rays from the entry queue in the same step."""
+    settings = dict(bucket_selection=selection, bucket_wait_max=1, treelet_prefetch="ON", bucket_processors=2, **size)
+    compare("instances", LAYOUTS[0], RayKind.OCCLUSION, parallel, rays_few=1, **settings)
+
+
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_rays_that_pass_at_once_are_queued_less_often(layout):
     queued = [

@@ -85,8 +85,8 @@ def interpolated_object_normal(data: NodeData, point: ShadingPoint, side: float)
     the ray met the back.
     """
     g = data.geometry
-    first = 3 * (g.mesh_triangle_first[g.instance_mesh[point.instance]] + point.primitive)
-    if g.corner_normals.shape[0] > first + 2:
+    if g.corner_normals.shape[0] > 0:
+        first = 3 * (g.mesh_triangle_first[g.instance_mesh[point.instance]] + point.primitive)
         a = g.corner_normals[first]
         b = g.corner_normals[first + 1]
         c = g.corner_normals[first + 2]

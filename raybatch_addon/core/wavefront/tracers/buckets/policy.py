@@ -1,6 +1,7 @@
 """Which queue is served next: the specification, in plain Python, which tests hold `policy_device.py` to.
 
-Renders run `policy_device.py` alone, on CPUs and on CUDA, but for policies that serve several buckets (`assigned`).
+Renders run `policy_device.py`, on CPUs and on CUDA, and policies of `assigned` where the host chooses: several buckets,
+treelets that rays pass at once, and those that are asked for ahead.
 
 Bucket b stands for treelet b, and bucket `bucket_count` for the root. Bucket b has the entry queue 2 b and the exit
 queue 2 b + 1. The root's exit queue holds rays that have not begun; its entry queue those that are done, which are

@@ -32,7 +32,7 @@ class Steps(Protocol):
         """`PolicyState.choice` of the next step that the host is to do."""
 
     def serve(self, step: Step, choice: list[int]) -> None:
-        """Do the chosen step, which is TOP or TREELET."""
+        """Do the chosen step, which is TOP, TREELET or SOME."""
 
     def release(self) -> None:
         """Give up what was captured; no step is under way, and none comes."""

@@ -119,10 +119,11 @@ def processor_count(settings: RenderSettings, device: wp.Device) -> int:
     return settings.bucket_processors or (device.sm_count if device.is_cuda else 1)
 
 
-def few_rays(selection: Selection, is_cuda: bool) -> int:
-    """With fewer rays in every bucket, all go on unbatched."""
+def few_rays(settings: RenderSettings, is_cuda: bool) -> int:
+    """With fewer rays in every bucket, all go on unbatched; with fewer in all of them where one sweep serves all."""
     few, sweep_few = (CUDA_RAYS_FEW, CUDA_SWEEP_FEW) if is_cuda else (CPU_RAYS_FEW, CPU_SWEEP_FEW)
-    return sweep_few if selection == Selection.ALL else few
+    sweeps = selection_of(settings, is_cuda) == Selection.ALL and not host_chooses(settings, is_cuda)
+    return sweep_few if sweeps else few
 
 
 class BatchingTracer:
@@ -178,7 +179,7 @@ class BatchingTracer:
             counts=counts,
         )
         self._finished = FinishedLists(self._queues.capacity, worker.path_count, worker.shadow_kind, device)
-        rays_few = few_rays(self._selection, device.is_cuda) if rays_few is None else rays_few
+        rays_few = few_rays(settings, device.is_cuda) if rays_few is None else rays_few
         is_given = stages is not None  # and so are their kernels, which are loaded already
         if stages is None:
             stages = visit_stages(treelet_tree.layout, instancing, counts is not None, settings, curves, moving)

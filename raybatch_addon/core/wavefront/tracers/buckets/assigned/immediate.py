@@ -1,4 +1,4 @@
-"""Rays go on through treelets that were visited of late, without waiting."""
+"""Rays go on through treelets that were served of late, without waiting."""
 
 from __future__ import annotations
 
@@ -21,7 +21,9 @@ def show_kernel(
 
 
 class RecentTreelets:
-    """The treelets that rays visited last, as many as a cache holds: the others seem absent."""
+    """The treelets whose buckets were served last, as many as a cache holds: the others seem absent. One that rays pass
+    at once is not served, and leaves as any other.
+    """
 
     def __init__(self, treelets: Treelets, treelet_bytes: np.ndarray, cache_bytes: int):
         """Of `treelets`, which take `treelet_bytes` each, int64. `cache_bytes`: what those that are there may take, but
@@ -38,7 +40,7 @@ class RecentTreelets:
         self.view.triangles = wp.zeros_like(self._all.triangles)
 
     def visit(self, treelets: np.ndarray) -> np.ndarray:
-        """`treelets` are there from now on, and of the others those visited last that have room; which are there."""
+        """`treelets` are there from now on, and of the others those served last that have room; which are there."""
         self._step += 1
         self._visited[treelets] = self._step
         recent = np.argsort(-self._visited, kind="stable")[: np.count_nonzero(self._visited)]

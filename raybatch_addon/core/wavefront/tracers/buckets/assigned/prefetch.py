@@ -51,11 +51,11 @@ class TreeletPrefetch:
             for each in (words.node_words * below, words.triangle_words * treelet_tree.treelet_units)
         ]
 
-    def ask(self, loads: np.ndarray, served: np.ndarray) -> np.ndarray:
-        """Ask for treelets by the rays that wait at them, `loads` [buckets], where the buckets `served` are served;
-        which.
+    def ask(self, entering: np.ndarray, served: np.ndarray) -> np.ndarray:
+        """Ask for treelets by the rays that wait to enter them, `entering` [buckets], where the buckets `served` are
+        served; which.
         """
-        others = loads[: self._count].copy()
+        others = entering[: self._count].copy()
         others[served[served < self._count]] = 0
         filled = np.flatnonzero(others)
         likely = filled[np.argsort(-others[filled], kind="stable")][: len(served)]

@@ -66,12 +66,12 @@ class AssignedSteps:
         choice[STEP_KIND] = Step.SOME
         chosen = np.union1d(self._fuller_queues(counts, self._policy.choose(loads)), self._urgent_queues(counts, loads))
         if self._prefetch:
-            self._prefetch.ask(loads, np.unique(chosen // 2))
-        self._served = [
-            (step, queues.tolist(), int(counts[queues].sum()))
-            for step, queues in ((Step.TREELET, chosen[chosen % 2 == 0]), (Step.TOP, chosen[chosen % 2 == 1]))
-            if len(queues)
-        ]
+            self._prefetch.ask(counts[0::2], np.unique(chosen // 2))
+        entries, exits = chosen[chosen % 2 == 0], chosen[chosen % 2 == 1]
+        # rays that leave a treelet come to its exit queue, which may be served behind: as many as a batch may have
+        amounts = int(counts[entries].sum()), 0 if len(entries) else int(counts[exits].sum())
+        served = zip((Step.TREELET, Step.TOP), (entries, exits), amounts)
+        self._served = [(step, queues.tolist(), amount) for step, queues, amount in served if len(queues)]
         return choice
 
     def serve(self, step: Step, choice: list[int]) -> None:
