@@ -192,8 +192,10 @@ def make(folder: Path, base: Path) -> None:
 
 def install(python: Path, wanted: Sequence[str]) -> int:
     """Install what is `wanted` in the environment of `python`; pip's exit code."""
-    pip = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-input", *wanted]
-    code = subprocess.call(pip, stdin=subprocess.DEVNULL, stdout=sys.stderr)
+    pip = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-input"]
+    if not sys.dont_write_bytecode:  # a module is compiled when it is first used; three of four never are
+        pip.append("--no-compile")
+    code = subprocess.call([*pip, *wanted], stdin=subprocess.DEVNULL, stdout=sys.stderr)
     if code:
         print(
             "RayBatch: the dependencies could not be installed (see above); run the command again when that is mended",
