@@ -10,6 +10,7 @@ from raybatch_addon.core.ahead.request import GeneralRequest
 from raybatch_addon.core.device.codegen.by_reference import by_reference
 from raybatch_addon.core.device.devices import find_device, start_warp
 from raybatch_addon.core.device.kernel import MODULE_OPTIONS, OUT_OF_LINE_OPTIONS, is_general
+from tests.support.running.general_kernels import general_source
 
 
 @wp.struct
@@ -150,7 +151,7 @@ def test_large_structs_of_the_general_tier_are_taken_by_reference():
     smallest = next(kernel for name, kernel in general.items() if "estimates" in name)
     large = re.findall(
         r"^    (?:Lights|Geometry|SurfacePoint|Paths)_\w+ (& __restrict )?var_\w+[,)]",
-        source_of(smallest),
+        general_source(smallest),
         re.MULTILINE,
     )
     assert len(large) > 10

@@ -21,6 +21,7 @@ from raybatch_addon.core.shading.bsdf.materials import address_of
 from tests.core.device.small_kernels import ROOT
 from tests.support.feature_scenes import ALL_FEATURES
 from tests.support.feature_scenes import SETTINGS as FEATURE_SETTINGS
+from tests.support.running.general_kernels import general_source
 from tests.support.running.shares import thorough_but
 from tests.support.under_test import DEVICE
 
@@ -92,7 +93,7 @@ def test_no_array_of_general_kernels_is_copied():
     start_warp()
     named = GeneralRequest().kernels(find_device("cpu"))  # one for each stage, most of them the same
     kernels = [each for each in dict.fromkeys(named) if is_general(each.module)]
-    sources = [source_of(each, "cpu") for each in kernels]
+    sources = [general_source(each) for each in kernels]
     assert sum(source.count("_storage[") for source in sources) > 20
     assert not [each.key for each, source in zip(kernels, sources, strict=True) if "fixedarray_t" in source]
 

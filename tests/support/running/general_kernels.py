@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 import warp as wp
 
-from raybatch_addon.core import session
+from raybatch_addon.core import device, session
 from raybatch_addon.core.ahead.request import GeneralRequest
 from raybatch_addon.core.device.devices import load_kernels, start_warp
 from raybatch_addon.core.scene.features import SceneFeatures
@@ -81,3 +81,16 @@ def put_general_kernels(folder: Path) -> list[Path]:
     load_kernels(kernels, device, lambda done, total: None)
     names = sorted({kernel.module.get_module_identifier(1) for kernel in kernels})
     return [Path(shutil.copytree(kept / name, folder / kept.name / name)) for name in names]
+
+
+def general_source(kernel: wp.Kernel) -> str:
+    """The C++ of a general kernel for a CPU: as the environment compiled it, where the code that writes it has not been
+    changed since; else it is written now, which takes three to six seconds of each.
+    """
+    module, name = kernel.module, kernel.module.get_module_identifier(1)
+    kept = Path(wp.config.kernel_cache_dir) / name / f"{name}.cpp"
+    changed = max(each.stat().st_mtime for each in Path(device.__file__).parent.rglob("*.py"))
+    if kept.is_file() and kept.stat().st_mtime > changed:
+        return kept.read_text(encoding="utf-8")
+    module.get_module_hash(1)  # declares it
+    return module._run_codegen(module.resolved_options[1] | {"output_arch": None}, True)[0]
