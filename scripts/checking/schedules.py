@@ -18,7 +18,7 @@ NOT_DRAWN = {"device"}
 NOT_CHOSEN = {"batching": ("REFERENCE",)}
 # Every pair is compiled by itself on CUDA, so there are few
 REGISTERS_AND_BLOCKS = ((0, 0), (0, 0), (0, 0), (64, 256), (0, 64))
-THREADS_MOST, WARPS_MOST, QUEUE_MOST, WAIT_MOST = 4, 512, 4096, 1000
+THREADS_MOST, WARPS_MOST, QUEUE_MOST, WAIT_MOST, PROCESSORS_MOST = 4, 512, 4096, 1000, 64
 PLACES_MOST = 1 << 18  # of all blocks together: what DIRECT needs for them is still little
 
 
@@ -79,6 +79,10 @@ def drawn_schedule(draws: Draws, sizes: DrawnSizes) -> dict[str, Any]:
     low, high = sorted(draws.whole(0, 20) / 20 for _ in range(2))
     drawn["ray_low_water"], drawn["ray_high_water"] = draws.pick(((low, high), (low, 1.0)))
     drawn["bucket_wait_max"] = _zero_or_any(draws, WAIT_MOST)
+    drawn["bucket_processors"] = _zero_or_any(draws, PROCESSORS_MOST)
+    # where the host is asked in each step, neither a GPU's loop nor a CPU's fused steps are tried
+    drawn["treelet_cache"] = draws.pick((0, 0, 0, _any_size(draws, 1, sizes.tree_bytes)))
+    drawn["treelet_prefetch"] = draws.pick(("OFF", "OFF", "OFF", "ON"))
     drawn["queue_size"] = size = _zero_or_any(draws, QUEUE_MOST)
     drawn["queue_count"] = _zero_or_any(draws, min(QUEUE_MOST, PLACES_MOST // max(size, 1)))
     drawn["treelet_size"] = nodes = _zero_or_any(draws, max(sizes.triangles, 2))
