@@ -210,6 +210,13 @@ def argument_parser() -> argparse.ArgumentParser:
     traversal.add_argument("--threads", default="1", metavar="T[,T]", help="threads of the CPU (default: 1)")
     traversal.add_argument("--tracers", default="", metavar="NAME[,NAME]")
     traversal.add_argument(
+        "--rival",
+        action="append",
+        default=[],
+        metavar="NAME[:PARAMETER=VALUE,...]",
+        help="measure another scheme of tracing many rays too (may be repeated); docs/studies/rivals.md lists them",
+    )
+    traversal.add_argument(
         "--rays", default="primary,bounce1,bounce4,shadow1", metavar="KIND[,KIND]", help="default: %(default)s"
     )
     traversal.add_argument(
@@ -302,7 +309,8 @@ def measured(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
     from benchmarking.orders import parse_orders
     from benchmarking.rays import parse_ray_types
-    from benchmarking.traversal import TraversalRequest, measure_traversal
+    from benchmarking.tracers.rivals.registry import parse_rivals
+    from benchmarking.traversal import TraversalRequest, measure_traversal, parse_threads
 
     from raybatch_addon.core.settings.settings import parse_setting
 
@@ -314,6 +322,7 @@ def measured(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
         scene=scene,
         device=options.device,
         tracers=[name.strip() for name in options.tracers.split(",") if name.strip()],
+        rivals=parse_rivals(options.rival),
         ray_types=parse_ray_types(options.rays),
         orders=parse_orders(options.orders),
         threads=parse_threads(options.threads),
@@ -335,14 +344,6 @@ def sample_counts(text: str) -> tuple[int, int]:
         raise argparse.ArgumentTypeError(f"{text!r} is not valid: give one count of samples, or two such as 64,256")
     counts = [int(part) for part in parts]
     return counts[0], counts[1] if len(counts) == 2 else 0
-
-
-def parse_threads(text: str) -> list[int]:
-    """Counts of threads, such as `1,2`; raises `UsageError`."""
-    parts = [part.strip() for part in text.split(",")]
-    if not all(part.isdecimal() and 1 <= int(part) <= 1024 for part in parts):
-        raise UsageError(f"--threads {text} is not valid: give counts of 1 to 1024, such as 1,2")
-    return list(dict.fromkeys(map(int, parts)))
 
 
 def run(options: argparse.Namespace, folders: OutputFolders, standard_output: IO[str]) -> int:

@@ -30,9 +30,10 @@ auto traverse = [&](Ray* set, int count, const char* nodes, const char* triangle
             Floats enter;
             const unsigned met = meet(set[id], p, enter);
             sum += (all_ints((int)met) & Ints{1, 2, 4, 8, 16, 32, 64, 128}) != 0 ? enter : all(0.0f);
-            for (unsigned rest = met; rest; rest &= rest - 1u) {
-                const int k = __builtin_ctz(rest);
-                task.free[k * stride + counts[k]++] = id;
+            // every list gets the ray at its end, but only the ends of those that want it move on
+            for (int k = 0; k < 8; ++k) {
+                task.free[k * stride + counts[k]] = id;
+                counts[k] += met >> k & 1;
             }
         }
         unsigned some = 0;
