@@ -9,6 +9,7 @@ import warp as wp
 from lib.command import UsageError
 
 from benchmarking.tracers.interface import MeasuredTracer
+from benchmarking.tracers.rivals.breadth.tracer import BreadthFirstTracer
 from benchmarking.tracers.rivals.packets import PartitionTracer, RangedTracer
 from benchmarking.tracers.rivals.parameters import Parameter, RivalRequest, parse_rival
 from benchmarking.tracers.rivals.raycrawler import RayCrawlerTracer
@@ -76,6 +77,16 @@ RIVALS = {
             "reach": Parameter(25, "where two-point guesses the end, percents of the scene's diagonal", 1, 1000),
         },
         lambda asked, trees, device, settings: KeyTracer(asked.label, trees, device, **asked.values),
+        cpu_only=False,
+    ),
+    "breadth-first": Rival(
+        "sorted packets, frusta level by level (Garanzha and Loop 2010)",
+        {
+            "rays": Parameter(256, "rays of a packet at most", 1, RAYS_MAX),
+            "origin": Parameter(5, "bits of a coordinate of the origin in the hash", 0, 7),
+            "direction": Parameter(3, "bits of a coordinate of the direction in the hash", 0, 5),
+        },
+        lambda asked, trees, device, settings: BreadthFirstTracer(asked.label, trees, device, **asked.values),
         cpu_only=False,
     ),
     "raycrawler": Rival(
