@@ -56,9 +56,7 @@ _PACKET = {"ray_bytes": 48, "level_bytes": 0, "spare_bytes": 0}
 RANGED = Traversal(("packet.h", "ranged.h"), **_PACKET)
 PARTITION = Traversal(("packet.h", "partition.h"), **_PACKET)
 FILTER = Traversal(("filter.h",), ray_bytes=2, level_bytes=16, spare_bytes=8 * 37 * 2)
-REORDERED = Traversal(
-    ("alone.h", "reordered_streams.h"), ray_bytes=10, level_bytes=27 * 8, spare_bytes=27 * 9 * 8
-)
+REORDERED = Traversal(("alone.h", "reordered_streams.h"), ray_bytes=10, level_bytes=27 * 8, spare_bytes=27 * 9 * 8)
 ORDERED = Traversal(
     ("alone.h", "ordered_streams.h"), ray_bytes=2, level_bytes=80, spare_bytes=8 * 37 * 2 + 64, ordered=True
 )
@@ -176,15 +174,18 @@ def octant_orders(nodes: np.ndarray) -> np.ndarray:
     """The children of each node of BOXES from near to far, by octant (bit k: a direction is negative along axis k), by
     their boxes' middles along the diagonal of the octant: uint32 with a child every four bits, shape [n, 8].
 
-    `nodes` are words, float32, in whatever shape.
+    `nodes` are words, float32, in whatever shape; behind the last node there may be others, that mean nothing.
     """
-    children = decode_children(Layout.BOXES, nodes.reshape(-1, Layout.BOXES.node_words))
+    words = Layout.BOXES.node_words
+    children = decode_children(Layout.BOXES, nodes.reshape(-1)[: nodes.size // words * words].reshape(-1, words))
     there = np.isfinite(children.low).all(2)
-    middle = np.where(there[..., None], children.low + children.high, 0.0)
+    low, high = (np.where(there[..., None], corner, 0.0) for corner in (children.low, children.high))
+    middle = low / 2 + high / 2
     orders = np.zeros((len(middle), 8), np.uint32)
     for octant in range(8):
         towards = np.array([-1.0 if octant >> k & 1 else 1.0 for k in range(3)])
-        far = np.where(there, middle @ towards, np.inf)
+        with np.errstate(over="ignore", invalid="ignore"):  # of what is no node
+            far = np.where(there, middle @ towards, np.inf)
         slots = np.argsort(far, 1, kind="stable").astype(np.uint32)
         orders[:, octant] = (slots << (4 * np.arange(WIDTH, dtype=np.uint32))).sum(1, dtype=np.uint32)
     return orders

@@ -12,9 +12,9 @@ from benchmarking.tracers.interface import MeasuredTracer
 from benchmarking.tracers.rivals.breadth.tracer import BreadthFirstTracer
 from benchmarking.tracers.rivals.packets import PartitionTracer, RangedTracer
 from benchmarking.tracers.rivals.parameters import Parameter, RivalRequest, parse_rival
+from benchmarking.tracers.rivals.ray_streams import DynamicStreamTracer, FilterTracer, OrderedStreamTracer
 from benchmarking.tracers.rivals.raycrawler import RayCrawlerTracer
 from benchmarking.tracers.rivals.reordering import KEYS, HitPointTracer, KeyTracer
-from benchmarking.tracers.rivals.ray_streams import DynamicStreamTracer, FilterTracer, OrderedStreamTracer
 from benchmarking.tracers.stages import SceneTrees
 from raybatch_addon.core.settings.settings import RenderSettings
 

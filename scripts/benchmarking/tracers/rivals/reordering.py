@@ -29,8 +29,8 @@ KEYS = {
 
 
 class KeyTracer(StageTracer):
-    """Rays sorted by a key: Meister, Boksansky, Guthe and Bittner 2020, "On ray reordering techniques for faster GPU ray
-    tracing".
+    """Rays sorted by a key: Meister, Boksansky, Guthe and Bittner 2020, "On ray reordering techniques for faster GPU
+    ray tracing".
 
     The keys are theirs by name: the origin; origin above direction; direction above origin; two points, of which the
     end is guessed. The layouts here: points as Morton codes within the scene's box, of 10, 6 or 5 bits an axis;

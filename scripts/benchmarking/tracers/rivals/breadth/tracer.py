@@ -66,15 +66,7 @@ class BreadthFirstTracer(MeasuredTracer):
     it comes to. So many packets go together as fit `PAIRS_MAX`. One launch a step, on any device.
     """
 
-    def __init__(
-        self,
-        name: str,
-        trees: SceneTrees,
-        device: wp.Device,
-        rays: int,
-        origin: int,
-        direction: int,
-    ):
+    def __init__(self, name: str, trees: SceneTrees, device: wp.Device, rays: int, origin: int, direction: int):
         """`rays` of a packet at most; bits of a coordinate of `origin` and `direction` in the hash."""
         self.name = name
         self._trees, self._device, self._size = trees, device, rays
