@@ -34,7 +34,7 @@ VARIANTS = {
     "drst": ["drst:rays=7,alone=0", "drst:rays=500", "drst:rays=100,alone=30"],
     "orst": ["orst:rays=7,alone=0", "orst:rays=500", "orst:rays=100,alone=30"],
     "mbvh-rs": ["mbvh-rs:rays=1", "mbvh-rs:rays=500"],
-    "hit-point": ["hit-point", "hit-point:cells=2"],
+    "hit-point": ["hit-point", "hit-point:cells=2,traversal=plain"],
     "sorted": [
         "sorted:key=origin",
         "sorted:key=origin-direction",

@@ -40,8 +40,8 @@ class DynamicStreamTracer(PacketTracer):
 
 
 class OrderedStreamTracer(PacketTracer):
-    """Ordered ray streams: Fuetterling, Lojewski, Pfreundt and Ebert 2015, "Efficient ray tracing kernels for modern CPU
-    architectures".
+    """Ordered ray streams: Fuetterling, Lojewski, Pfreundt and Ebert 2015, "Efficient ray tracing kernels for modern
+    CPU architectures".
 
     A ray's order of a node's children comes from a table, by its octant, so that nothing is sorted, and it is kept
     strictly: each ray is listed at the child that is next for it alone, and when that was visited it moves on to the

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import warp as wp
 
 from benchmarking.rays import CapturedRays
@@ -39,7 +41,7 @@ class RayCrawlerTracer(WaitingTracer):
             "queue_size": values["queue"],
             "ray_storage": str(values["storage"]).upper(),
         }
-        super().__init__(name, trees, device, settings.replace(**chosen), Budget(0, wp.config.kernel_cache_dir))
+        super().__init__(name, trees, device, settings.replace(**chosen), Budget(0, Path()))
         self._alive = int(values["rays"])
 
     def load(self, rays: CapturedRays, thread_count: int) -> None:

@@ -20,6 +20,7 @@ from raybatch_addon.core.settings.settings import RenderSettings
 
 RAYS_MAX = 16_384  # of a packet or stream
 _ALONE = Parameter(2, "so many rays or fewer of a stream go on one by one", 0, RAYS_MAX)
+_TRAVERSAL = Parameter("interleaved", "how rays are traced behind", choices=("interleaved", "plain"))
 
 
 @dataclass(frozen=True)
@@ -64,10 +65,8 @@ RIVALS = {
     ),
     "hit-point": Rival(
         "rays in the order of their hits in a simplified scene (Moon et al. 2010)",
-        {"cells": Parameter(64, "cells along a mesh's longest side", 2, 4096)},
-        lambda asked, trees, device, settings: HitPointTracer(
-            asked.label, trees, device, settings, cells=asked.values["cells"]
-        ),
+        {"cells": Parameter(64, "cells along a mesh's longest side", 2, 4096), "traversal": _TRAVERSAL},
+        lambda asked, trees, device, settings: HitPointTracer(asked.label, trees, device, settings, **asked.values),
         cpu_only=False,
     ),
     "sorted": Rival(
@@ -75,6 +74,7 @@ RIVALS = {
         {
             "key": Parameter("two-point", "what rays are sorted by", choices=tuple(KEYS)),
             "reach": Parameter(25, "where two-point guesses the end, percents of the scene's diagonal", 1, 1000),
+            "traversal": _TRAVERSAL,
         },
         lambda asked, trees, device, settings: KeyTracer(asked.label, trees, device, **asked.values),
         cpu_only=False,
@@ -116,12 +116,3 @@ def make_rivals(
         if device.is_cuda and RIVALS[asked.name].cpu_only:
             raise UsageError(f"--rival {asked.name} runs on the CPU alone: measure with --device cpu, or leave it out")
     return [RIVALS[asked.name].make(asked, trees, device, settings) for asked in requests]
-
-
-def rivals_help() -> str:
-    """The rivals and their parameters, a line each."""
-    lines = []
-    for name, rival in RIVALS.items():
-        parts = [f"{key}={each.range} ({each.default})" for key, each in rival.parameters.items()]
-        lines.append(f"  {name:<12} {rival.summary}\n               {', '.join(parts)}")
-    return "\n".join(lines)

@@ -39,9 +39,9 @@ class KeyTracer(StageTracer):
     Slots are sorted, rays stay where they are. (A key of octant and origin is the engine's own: `off-sorted`.)
     """
 
-    def __init__(self, name: str, trees: SceneTrees, device: wp.Device, key: str, reach: int):
-        """`reach`: percents of the diagonal."""
-        super().__init__(name, trees, device, "OFF", sorts=True)
+    def __init__(self, name: str, trees: SceneTrees, device: wp.Device, key: str, reach: int, traversal: str):
+        """`reach`: percents of the diagonal; `traversal`: interleaved, as `off`, or plain, as `off-plain`."""
+        super().__init__(name, trees, device, "OFF", sorts=True, plain=traversal == "plain")
         self._key, self._reach = KEYS[key], reach / 100
 
     def build(self, scene: BenchmarkScene) -> Tree:
@@ -68,9 +68,11 @@ class HitPointTracer(StageTracer):
     tracing and sorting are. Any-hit rays look for their closest hit in the simplified scene too.
     """
 
-    def __init__(self, name: str, trees: SceneTrees, device: wp.Device, settings: RenderSettings, cells: int):
-        """`cells` along the longest side of a mesh."""
-        super().__init__(name, trees, device, "OFF", sorts=True)
+    def __init__(
+        self, name: str, trees: SceneTrees, device: wp.Device, settings: RenderSettings, cells: int, traversal: str
+    ):
+        """`cells` along the longest side of a mesh; `traversal` of the scene: see `KeyTracer`."""
+        super().__init__(name, trees, device, "OFF", sorts=True, plain=traversal == "plain")
         self._cells = cells
         self._simple_trees = SceneTrees(device, settings)
 

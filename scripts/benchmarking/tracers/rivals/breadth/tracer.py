@@ -42,6 +42,15 @@ class TooManyError(Exception):
 
 
 @dataclass
+class _Packets:
+    """Rays in the order of their hashes, as packets."""
+
+    slots: wp.array
+    first: wp.array  # where each packet begins, and the last ends
+    number: wp.array  # of each ray's packet, from 1
+
+
+@dataclass
 class _Met:
     """What items met in leaves, sorted by item and distance."""
 
@@ -86,7 +95,6 @@ class BreadthFirstTracer(MeasuredTracer):
         self._rule.origin_bits, self._rule.direction_bits = self._bits
         self._top_node = built.tree.top_node
         self._mesh_nodes = built.tree.entry_node.numpy()
-        self._mesh_bases = wp.array(self._mesh_nodes, dtype=int, device=self._device)
         load_kernels(
             [*KERNELS, *(leaves.leaves_kernel(any_hit) for any_hit in (False, True))], self._device, lambda *_: None
         )
@@ -243,12 +251,3 @@ class BreadthFirstTracer(MeasuredTracer):
         for name in ("item", "node", "base", "inner", "leaves"):
             setattr(frontier, name, self._ints(count))
         return frontier
-
-
-@dataclass
-class _Packets:
-    """Rays in the order of their hashes, as packets."""
-
-    slots: wp.array
-    first: wp.array  # where each packet begins, and the last ends
-    number: wp.array  # of each ray's packet, from 1
