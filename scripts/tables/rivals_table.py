@@ -22,9 +22,9 @@ Ratios = dict[str, dict[tuple[str, str, str], float]]  # of rates to the control
 
 
 def ratios(reports: dict[str, dict[str, Any]]) -> Ratios:
-    """Each tracer's rates over those of the control in the same report."""
+    """Each tracer's rates over those of the control in the same report; tracers of the longest report come first."""
     found: Ratios = {}
-    for report in reports.values():
+    for report in sorted(reports.values(), key=lambda report: -len(report["results"])):
         for (rays, order, _), by_name in cases(report).items():
             control = by_name[CONTROL]["mrays_per_s"]
             for name, result in by_name.items():
@@ -39,7 +39,9 @@ def kind_of(name: str) -> str:
 
 
 def _columns(found: Ratios, order: str) -> list[tuple[str, str, str]]:
-    return list(dict.fromkeys(case for by_case in found.values() for case in by_case if case[2] == order))
+    kinds = list(RAYS)
+    there = {case for by_case in found.values() for case in by_case if case[2] == order}
+    return sorted(there, key=lambda case: (case[0], kinds.index(case[1])))
 
 
 def _heads(columns: list[tuple[str, str, str]]) -> list[str]:
