@@ -19,6 +19,8 @@ from benchmarking.timing import spread
 from benchmarking.tracers.batching import Budget, WaitingTracer, ZeroCopyTracer
 from benchmarking.tracers.embree import PACKAGE, EmbreeTracer, embree_version
 from benchmarking.tracers.interface import MeasuredTracer, Timing, Tree
+from benchmarking.tracers.rivals.parameters import RivalRequest
+from benchmarking.tracers.rivals.registry import make_rivals
 from benchmarking.tracers.stages import SceneTrees, StageTracer
 from benchmarking.traces.file import check_scene, read_trace
 from raybatch_addon.blender.kernel_cache import kernel_cache_folder
@@ -44,6 +46,7 @@ class TraversalRequest:
     orders: list[str]
     threads: list[int]  # CPU only
     runs: int
+    rivals: list[RivalRequest] = field(default_factory=list)  # measured beside the tracers
     ray_count: int | None = None
     rays_file: Path | None = None  # a trace whose rays are taken; `ray_types` may then be empty: all that it has
     counters: bool = True  # report node steps and triangle tests where the tracer can
@@ -54,10 +57,23 @@ class TraversalRequest:
     )  # of the render that the rays are taken from, and of the tree
 
 
+def parse_threads(text: str) -> list[int]:
+    """Counts of threads, such as `1,2`; raises `UsageError`."""
+    parts = [part.strip() for part in text.split(",")]
+    if not all(part.isdecimal() and 1 <= int(part) <= 1024 for part in parts):
+        raise UsageError(f"--threads {text} is not valid: give counts of 1 to 1024, such as 1,2")
+    return list(dict.fromkeys(map(int, parts)))
+
+
 def chosen_tracers(
-    names: list[str], device: wp.Device, settings: RenderSettings, counts: bool, budget: Budget
+    names: list[str],
+    device: wp.Device,
+    settings: RenderSettings,
+    counts: bool,
+    budget: Budget,
+    rivals: list[RivalRequest],
 ) -> list[MeasuredTracer]:
-    """The tracers called `names`, or all that can be measured on `device`; raises `UsageError`."""
+    """The tracers called `names`, or all that can be measured on `device`, and `rivals`; raises `UsageError`."""
     for name in names:
         if name not in TRACERS + WAITING:
             raise UsageError(f"--tracers {name!r} is not known: choose of {', '.join(TRACERS + WAITING)}")
@@ -95,7 +111,7 @@ def chosen_tracers(
     }
     if "zero-copy" in names:  # whole, and with the triangles alone there
         names = [*names, "zero-copy-triangles"]
-    return [makers[name]() for name in dict.fromkeys(names)]
+    return [makers[name]() for name in dict.fromkeys(names)] + make_rivals(rivals, trees, device, settings)
 
 
 def page_folder() -> Path:
@@ -114,6 +130,7 @@ def measure_traversal(request: TraversalRequest) -> dict[str, Any]:
         RenderSettings().replace(**request.settings),
         request.counters,
         Budget(request.budget, page_folder(), request.nodes_resident),
+        request.rivals,
     )
     ray_count = request.ray_count or RAY_COUNT["cuda" if device.is_cuda else "cpu"]
     trace = read_trace(request.rays_file) if request.rays_file else None

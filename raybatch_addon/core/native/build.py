@@ -17,7 +17,9 @@ FOLDER = Path(__file__).parent
 _MACRO = re.compile(r"^\s*#\s*define\s+(\w+)", re.MULTILINE)
 
 
-def native_source(*headers: str, device: str = "", **defines: bool | int | float | str) -> str:
+def native_source(
+    *headers: str, device: str = "", beside: Path | None = None, **defines: bool | int | float | str
+) -> str:
     """The body of a native function: the files `headers` of this folder, one behind another, with `defines` as macros.
 
     Compilers name the header and its line in their messages. No macro is left behind, nor one that a header defines.
@@ -25,9 +27,10 @@ def native_source(*headers: str, device: str = "", **defines: bool | int | float
     Args:
         headers: names such as "math/vectors.h".
         device: "cpu" or "cuda" leaves the function empty on the other one; "" is for headers that know both.
+        beside: a folder in which headers are looked for first, of code outside of the core.
         defines: values by name. A float becomes a float32 literal, a bool 1 or 0; a str stays as it is.
     """
-    texts = [(header, _read(header)) for header in headers]
+    texts = [(header, _read(header, beside)) for header in headers]
     macros = [*defines, *(name for _, text in texts for name in _MACRO.findall(text) if name not in defines)]
     lines = [f"#define {name} {_literal(value)}" for name, value in defines.items()]
     for header, text in texts:
@@ -39,8 +42,9 @@ def native_source(*headers: str, device: str = "", **defines: bool | int | float
 
 
 @functools.cache
-def _read(header: str) -> str:
-    return (FOLDER / header).read_text(encoding="utf-8")
+def _read(header: str, beside: Path | None) -> str:
+    own = beside and beside / header
+    return (own if own and own.is_file() else FOLDER / header).read_text(encoding="utf-8")
 
 
 def _literal(value: bool | int | float | str) -> str:

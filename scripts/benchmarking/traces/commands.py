@@ -69,6 +69,13 @@ def add_commands(
     geometry_options(traversal)
     traversal.add_argument("--threads", default="1", metavar="T[,T]", help="threads of the CPU (default: 1)")
     traversal.add_argument("--tracers", default="", metavar="NAME[,NAME]")
+    traversal.add_argument(
+        "--rival",
+        action="append",
+        default=[],
+        metavar="NAME[:PARAMETER=VALUE,...]",
+        help="measure another scheme of tracing many rays too (may be repeated); docs/experiments/rivals.md lists them",
+    )
     traversal.add_argument("--rays", metavar="KIND[,KIND]", help=f"default: {RAYS_DEFAULT}; of a trace all that it has")
     traversal.add_argument(
         "--rays-file", type=Path, metavar="TRACE", help="trace the rays of this file (docs/ray-traces.md)"
@@ -193,7 +200,8 @@ def _traversal(options: argparse.Namespace, changes: dict[str, Any]) -> tuple[di
     from benchmarking.orders import parse_orders
     from benchmarking.rays import parse_ray_types
     from benchmarking.tables import traversal_text
-    from benchmarking.traversal import TraversalRequest, measure_traversal
+    from benchmarking.tracers.rivals.registry import parse_rivals
+    from benchmarking.traversal import TraversalRequest, measure_traversal, parse_threads
     from raybatch_addon.core.settings.settings import parse_setting
 
     types = parse_ray_types(options.rays or RAYS_DEFAULT) if options.rays or not options.rays_file else []
@@ -201,6 +209,7 @@ def _traversal(options: argparse.Namespace, changes: dict[str, Any]) -> tuple[di
         scene=_scene_of(options),
         device=options.device,
         tracers=[name.strip() for name in options.tracers.split(",") if name.strip()],
+        rivals=parse_rivals(options.rival),
         ray_types=types,
         rays_file=options.rays_file,
         orders=parse_orders(options.orders),
@@ -214,11 +223,3 @@ def _traversal(options: argparse.Namespace, changes: dict[str, Any]) -> tuple[di
     )
     report = measure_traversal(traced)
     return report, traversal_text(report)
-
-
-def parse_threads(text: str) -> list[int]:
-    """Counts of threads, such as `1,2`; raises `UsageError`."""
-    parts = [part.strip() for part in text.split(",")]
-    if not all(part.isdecimal() and 1 <= int(part) <= 1024 for part in parts):
-        raise UsageError(f"--threads {text} is not valid: give counts of 1 to 1024, such as 1,2")
-    return list(dict.fromkeys(map(int, parts)))

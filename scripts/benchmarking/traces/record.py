@@ -89,7 +89,7 @@ def tracer_named(name: str, device: wp.Device, settings: RenderSettings) -> Meas
     """One of the tracers of `benchmark.py traversal`; raises `UsageError`."""
     from benchmarking.traversal import Budget, chosen_tracers, page_folder
 
-    return chosen_tracers([name], device, settings, False, Budget(0, page_folder()))[0]
+    return chosen_tracers([name], device, settings, False, Budget(0, page_folder()), [])[0]
 
 
 def traced(tracer: MeasuredTracer, rays: CapturedRays) -> Hits:

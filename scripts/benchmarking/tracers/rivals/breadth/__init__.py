@@ -1,0 +1,1 @@
+"""Rays that are sorted to packets, whose frusta go through the tree level by level."""

@@ -1,0 +1,100 @@
+"""Write the tables of docs/experiments/rivals.md from docs/experiments/data/rivals-*.json, reports of
+`scripts/benchmark.py traversal --rival`: python scripts/tables/rivals_table.py [--check]
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+sys.path[:0] = [str(folder) for folder in Path(__file__).resolve().parents[1:3]]
+
+from tables.experiment_data import FOLDER, RAYS, cases, load, title
+from tables.experiment_tables import table
+from tables.marked_text import with_part, write_or_check
+
+PAGE = FOLDER / "rivals.md"
+CONTROL = "off"
+# what stands in a table beside the rivals, in this order
+OWN = {"off-plain": "off, plain", "off-sorted": "off, sorted", "on": "on"}
+Ratios = dict[str, dict[tuple[str, str, str], float]]  # of rates to the control's, by tracer; by scene, rays and order
+
+
+def ratios(reports: dict[str, dict[str, Any]]) -> Ratios:
+    """Each tracer's rates over those of the control in the same report; tracers of the longest report come first."""
+    found: Ratios = {}
+    for report in sorted(reports.values(), key=lambda report: -len(report["results"])):
+        for (rays, order, _), by_name in cases(report).items():
+            control = by_name[CONTROL]["mrays_per_s"]
+            for name, result in by_name.items():
+                if name != CONTROL:
+                    found.setdefault(name, {})[title(report), rays, order] = result["mrays_per_s"] / control
+    return found
+
+
+def kind_of(name: str) -> str:
+    """The rival without its parameters."""
+    return name.partition(":")[0]
+
+
+def _columns(found: Ratios, order: str) -> list[tuple[str, str, str]]:
+    kinds = list(RAYS)
+    there = {case for by_case in found.values() for case in by_case if case[2] == order}
+    return sorted(there, key=lambda case: (case[0], kinds.index(case[1])))
+
+
+def _heads(columns: list[tuple[str, str, str]]) -> list[str]:
+    return [f"{scene}, {RAYS.get(rays, rays)}" for scene, rays, _ in columns]
+
+
+def best_table(found: Ratios, order: str) -> str:
+    """Of each rival the best of its parameters, case by case; what is above the control is bold."""
+    columns = _columns(found, order)
+    kinds = [*OWN, *dict.fromkeys(kind_of(name) for name in found if name not in OWN)]
+    rows = []
+    for kind in kinds:
+        tried = [by_case for name, by_case in found.items() if kind_of(name) == kind]
+        best = [max((by_case[case] for by_case in tried if case in by_case), default=None) for case in columns]
+        if any(ratio is not None for ratio in best):
+            rows.append([OWN.get(kind, kind), *(_text(ratio) for ratio in best)])
+    return table(["", *_heads(columns)], rows)
+
+
+def all_table(found: Ratios, order: str) -> str:
+    """Every rival with every parameter that was tried."""
+    columns = _columns(found, order)
+    rows = [
+        [OWN.get(name, f"`{name}`"), *(_text(by_case.get(case)) for case in columns)]
+        for name, by_case in found.items()
+        if any(case in by_case for case in columns)
+    ]
+    return table(["", *_heads(columns)], rows)
+
+
+def _text(ratio: float | None) -> str:
+    if ratio is None:
+        return ""
+    text = f"{ratio:.2f}" if ratio >= 0.095 else f"{ratio:.2g}"
+    return f"**{text}**" if float(text) > 1 else text
+
+
+def updated(text: str) -> str:
+    """The page with its tables made of the data."""
+    found = ratios(load("rivals-*.json"))
+    for name, made in (
+        ("natural", best_table(found, "natural")),
+        ("shuffled", best_table(found, "shuffled")),
+        ("all", all_table(found, "natural")),
+    ):
+        text = with_part(text, f"<!-- {name} -->", f"<!-- end of {name} -->", made, PAGE)
+    return text
+
+
+def main(arguments: list[str]) -> int:
+    """The exit code."""
+    return write_or_check(PAGE, updated, "scripts/tables/rivals_table.py", arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
