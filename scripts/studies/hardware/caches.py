@@ -3,7 +3,6 @@
 All arrays of first-level caches lie one processor behind another.
 """
 
-# mypy: disable-error-code="valid-type"
 from __future__ import annotations
 
 import warp as wp

@@ -8,7 +8,6 @@ are fetched when a register is free, those of most rays first. QUEUES: a ray tha
 queue, and processors serve queues.
 """
 
-# mypy: disable-error-code="valid-type"
 from __future__ import annotations
 
 import warp as wp
@@ -265,9 +264,7 @@ def fetch_rows(w: Work, s: State, m: Memory, p: int, now: wp.int64):
         best = int(-1)
         for r in range(p * w.rows, (p + 1) * w.rows):
             if s.row[r, 0] == ROW_WAITS:
-                if best < 0:
-                    best = r
-                elif s.row[r, 3] > s.row[best, 3]:
+                if best < 0 or s.row[r, 3] > s.row[best, 3]:
                     best = r
         again = 0
         if best >= 0:

@@ -9,7 +9,6 @@ packets never fetch more than their rays would, and a mask of active rays is fre
 of a packet share one order of visits, which makes some of them visit more.
 """
 
-# mypy: disable-error-code="valid-type"
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
@@ -41,8 +40,9 @@ def _merge(
         low = packet * size
         high = wp.min(low + size, count)
         for ray in range(low, high):
-            for i in range(first[ray], first[ray + wp.int32(1)]):
-                place = wp.where(items[i] >= 0, 2 * items[i], 2 * ~items[i] + 1)
+            for i in range(int(first[ray + 1] - first[ray])):
+                own = items[first[ray] + wp.int64(i)]
+                place = wp.where(own >= 0, 2 * own, 2 * ~own + 1)
                 ahead[place] = ahead[place] + 1
             if at[ray] < first[ray + 1]:
                 item = items[at[ray]]
@@ -118,8 +118,6 @@ class Packets:
 
     def plan(self, subject: Subject, traces: Traces, machine: Machine) -> Plan:
         """See `Policy.plan`."""
-        own = replace(
-            machine, slots=max(1, machine.slots // self.size), chunk=max(1, machine.chunk // self.size)
-        )
+        own = replace(machine, slots=max(1, machine.slots // self.size), chunk=max(1, machine.chunk // self.size))
         merged = packed(traces, self.size)
         return Plan(traces=merged, addresses=subject.addresses, machine=own, rays=traces.ray_count)

@@ -1,18 +1,16 @@
 """Policies, what they are asked about, and the plain one: rays of their own, each through the tree as it comes.
 
-The plain policy is that of machines of many instruction streams: TRaX (Spjut, Kensler, Kopta and Brunvand 2009, "TRaX: a
-multicore hardware architecture for real-time ray tracing") and RayCore (Nah, Kwon, Kim, Jeong, Park, Han, Manocha and
-Park 2014, "RayCore: a ray-tracing hardware architecture for mobile devices"). Modelled are single rays in flight and
-caches of lines without sectors; not the pipelines, nor the caches of nodes and of triangles apart that RayCore has, nor
-its kd-tree. The sizes of their caches are of the order of what such chips have, and chosen here.
+The plain policy is that of machines of many instruction streams: TRaX (Spjut, Kensler, Kopta and Brunvand 2009, "TRaX:
+a multicore hardware architecture for real-time ray tracing") and RayCore (Nah et al. 2014, "RayCore: a ray-tracing
+hardware architecture for mobile devices"). Modelled are single rays in flight and caches of lines without sectors; not
+the pipelines, nor the caches of nodes and of triangles apart that RayCore has, nor its kd-tree. The sizes of their
+caches are of the order of what such chips have, and chosen here.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from typing import Protocol
-
-import numpy as np
 
 from studies.hardware.machine import Cache, Machine, Plan
 from studies.hardware.traces import Addresses, Traces, tree_addresses
@@ -61,7 +59,7 @@ class Policy(Protocol):
 
 @dataclass(frozen=True)
 class Plain:
-    """Single rays, `order` of `Traces.in_order`; with `treelet` bytes the tree lies treelet by treelet."""
+    """Single rays, `order` of `Traces.order`; with `treelet` bytes the tree lies treelet by treelet."""
 
     name: str = "plain"
     order: str = "natural"
@@ -70,7 +68,8 @@ class Plain:
     def plan(self, subject: Subject, traces: Traces, machine: Machine) -> Plan:
         """See `Policy.plan`."""
         addresses = subject.treelet_addresses("breadth", self.treelet) if self.treelet else subject.addresses
-        return Plan(traces=traces.in_order(self.order), addresses=addresses, machine=machine, rays=traces.ray_count)
+        taken = traces if self.order == "natural" else traces.taken(traces.order(self.order))
+        return Plan(traces=taken, addresses=addresses, machine=machine, rays=traces.ray_count)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,5 +89,3 @@ class OwnCaches:
 
 TRAX = OwnCaches(name="TRaX", line=64, l1=Cache(32 << 10, 1), slots=32)
 RAYCORE = OwnCaches(name="RayCore", line=64, l1=Cache(16 << 10, 2), slots=64)
-
-

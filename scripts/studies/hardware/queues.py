@@ -12,7 +12,6 @@ order of treelets is another (`grouped` puts what it read into another order, no
 BALANCED has them, of which the mean stands in; special pipelines of STRaTA.
 """
 
-# mypy: disable-error-code="valid-type"
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
@@ -38,14 +37,16 @@ def _group(
     """By ray."""
     ray = wp.tid()
     begin = first[ray]
-    end = first[ray + 1]
+    count = int(first[ray + 1] - begin)
     written = begin
-    for i in range(begin, end):
-        if done[i] == 0:
-            for j in range(i, end):
-                if owner[j] == owner[i]:
-                    done[j] = 1
-                    grouped[written] = items[j]
+    for i in range(count):
+        here = begin + wp.int64(i)
+        if done[here] == 0:
+            for j in range(i, count):
+                there = begin + wp.int64(j)
+                if owner[there] == owner[here]:
+                    done[there] = 1
+                    grouped[written] = items[there]
                     written = written + wp.int64(1)
 
 

@@ -6,7 +6,6 @@ notes is written. A ray is traced twice, once to count its notes and once to kee
 traversal without notes says.
 """
 
-# mypy: disable-error-code="valid-type"
 from __future__ import annotations
 
 import functools
@@ -85,12 +84,7 @@ def recording_kernel(any_hit: bool) -> wp.Kernel:
 
     @wp.kernel(**KERNEL_OPTIONS)
     def trace_recorded(
-        tree: Tree,
-        rays: Rays,
-        listed: DeviceRayList,
-        cursor: wp.array(dtype=int),
-        counts: TraceCounts,
-        record: Record,
+        tree: Tree, rays: Rays, listed: DeviceRayList, cursor: wp.array(dtype=int), counts: TraceCounts, record: Record
     ):
         trace(tree, rays, listed, cursor, wp.tid(), counts, record)
 
@@ -157,3 +151,21 @@ def hits_of(rays: Rays, any_hit: bool) -> list[np.ndarray]:
     if any_hit:
         return [instance >= 0]
     return [instance, rays.hit_primitive.numpy().copy(), rays.hit_t.numpy().copy().view(np.uint32)]
+
+
+def launched(built: BuiltTree, rays: CapturedRays, order: np.ndarray, device: wp.Device) -> list[np.ndarray]:
+    """Trace `rays` in `order` on `device` by the engine's own kernel `trace_quantised`, with a copy of the same tree,
+    once: what a profiler watches there is to be compared with a simulation. Returns what `hits_of` says.
+    """
+    tree = Tree()
+    for name, kind in Tree.vars.items():
+        value = getattr(built.tree, name)
+        if isinstance(kind.type, wp.array):
+            value = wp.clone(value, device=device) if value is not None and value.size else value
+        setattr(tree, name, value)
+    taken = rays.taken(order)
+    uploaded, slots = upload_rays(taken, device), slot_list(slice(0, len(taken)), device)
+    options = TraceOptions(any_hit=rays.type.shadow, instancing=False)
+    trace_stage(Layout.QUANTISED, options).launch(tree, uploaded, slots, None)
+    wp.synchronize_device(device)
+    return hits_of(uploaded, rays.type.shadow)

@@ -1,6 +1,5 @@
 """The loop of the simulation, and what it is given and says."""
 
-# mypy: disable-error-code="valid-type"
 from __future__ import annotations
 
 from dataclasses import replace

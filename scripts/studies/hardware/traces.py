@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from benchmarking.orders import sort_keys
@@ -41,20 +42,16 @@ class Traces:
         first = np.concatenate([[0], np.cumsum(lengths)])
         where = np.repeat(self.first[:-1][order] - first[:-1], lengths) + np.arange(first[-1])
         return replace(
-            self,
-            items=self.items[where],
-            first=first,
-            origin=self.origin[order],
-            direction=self.direction[order],
+            self, items=self.items[where], first=first, origin=self.origin[order], direction=self.direction[order]
         )
 
-    def in_order(self, order: str) -> Traces:
-        """`natural`, `shuffled` or `sorted`, as `benchmarking/orders.py` has them."""
-        if order == "natural":
-            return self
-        if order == "shuffled":
-            return self.taken(np.random.default_rng(1).permutation(self.ray_count))
-        return self.taken(np.argsort(sort_keys(self.origin, self.direction), kind="stable"))
+    def order(self, name: str) -> np.ndarray:
+        """Indices of rays: `natural`, `shuffled` or `sorted`, as `benchmarking/orders.py` has them."""
+        if name == "natural":
+            return np.arange(self.ray_count)
+        if name == "shuffled":
+            return np.random.default_rng(1).permutation(self.ray_count)
+        return np.argsort(sort_keys(self.origin, self.direction), kind="stable")
 
     def save(self, path: Path) -> None:
         """Write an NPZ archive."""
@@ -68,7 +65,7 @@ def load_traces(path: Path) -> Traces:
             found = {name: file[name] for name in file.files}
         if int(found.pop("format")) != FORMAT:
             raise ValueError
-        counts = {name: int(found.pop(name)) for name in ("node_count", "triangle_count")}
+        counts: dict[str, Any] = {name: int(found.pop(name)) for name in ("node_count", "triangle_count")}
         traces = Traces(**found, **counts)
         if traces.first[-1] != len(traces.items) or len(traces.origin) != traces.ray_count:
             raise ValueError

@@ -4,7 +4,6 @@ A treelet is a connected part of the tree with one root. Triangles belong to the
 node whose bytes, triangles included, exceed the size is a treelet by itself.
 """
 
-# mypy: disable-error-code="valid-type"
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -82,8 +81,8 @@ class Treelets:
         return Addresses(node, triangle, int(begins[-1]))
 
     def lines(self, addresses: Addresses, line: int, sector: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Lines that hold a treelet, in the order of addresses: by treelet where its lines begin in the next two (int32,
-        shape [count + 1]), the lines, and their sectors as bits.
+        """Lines that hold a treelet, in the order of addresses: by treelet where its lines begin in the next two
+        (int32, shape [count + 1]), the lines, and their sectors as bits.
         """
         items = np.concatenate([np.arange(len(self.of_node)), ~np.arange(len(self.of_triangle))])
         owner = np.concatenate([self.of_node, self.of_triangle])
@@ -233,7 +232,7 @@ def _assign(
     for i in range(count):
         root = order[i]
         if of_node[root] == -2:
-            least = _grown(tree, best, cut, root, best[root])
+            _grown(tree, best, cut, root, best[root])
             for j in range(1, cut[0] + 1):
                 of_node[cut[j]] = -2
             of_node[root] = made[0]

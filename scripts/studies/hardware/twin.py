@@ -7,6 +7,7 @@ Caches are dictionaries in the order of use, events a heap of Python's, queues a
 from __future__ import annotations
 
 import heapq
+import itertools
 from collections import Counter, OrderedDict, deque
 from dataclasses import dataclass, field
 
@@ -80,7 +81,7 @@ class Twin:
         self.l2 = LruCache(m.l2, m.line)
         self.l1_free, self.l2_free, self.memory_free = [0] * m.processors, 0, 0
         items, first = plan.traces.items.tolist(), plan.traces.first.tolist()
-        self.new = deque(Ray(i, items[a:b]) for i, (a, b) in enumerate(zip(first, first[1:], strict=False)))
+        self.new = deque(Ray(i, items[a:b]) for i, (a, b) in enumerate(itertools.pairwise(first)))
         self.count, self.done, self.alive = len(self.new), 0, 0
         self.chunks: list[deque[Ray]] = [deque() for _ in range(m.processors)]
         slots = m.processors * m.slots
