@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import warp as wp
 
+from studies.hardware.machine import TICKS
+
 L1_REQUESTS, L1_HITS, L1_MERGED, L2_REQUESTS, L2_HITS, L2_BYTES, MEMORY_BYTES = 0, 1, 2, 3, 4, 5, 6
 PREFETCHED, PREFETCHED_USED = 7, 8
-TICKS = 16  # as `machine.TICKS`
 
 
 @wp.struct

@@ -12,11 +12,10 @@ from __future__ import annotations
 
 import warp as wp
 
-from studies.hardware.caches import PREFETCHED, TICKS, Memory, add, bits, bring, find
+from studies.hardware.caches import PREFETCHED, Memory, add, bits, bring, find
+from studies.hardware.machine import BALANCED, LAZY, QUEUES, TICKS
 
 QUEUE_WRITTEN, QUEUE_READ, QUEUE_VISITS, QUEUED, ITEMS, FINISHED, CYCLES = 9, 10, 11, 12, 13, 14, 15
-SINGLE, ACCUMULATE, QUEUES = 0, 1, 2
-LAZY, BALANCED = 0, 1
 POLL = 64 * TICKS  # after so long a slot without work looks again [ticks]
 ROW_FREE, ROW_WAITS, ROW_COMES = 0, 1, 2
 

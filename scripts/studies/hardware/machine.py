@@ -12,7 +12,7 @@ processors compute with, and how many of them may do so at once, is not modelled
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 from studies.hardware.traces import Addresses, Traces
 from studies.hardware.treelets import Treelets
@@ -85,17 +85,8 @@ class Counts:
     cycles: int = 0  # when the last one ended
     rays: int = 0  # number
 
-    def a_ray(self, name: str) -> float:
-        """A count for each ray."""
-        return getattr(self, name) / max(1, self.rays)
-
 
 COUNTERS = [each.name for each in fields(Counts)]
-
-
-def scaled(machine: Machine, l1: int, l2: int) -> Machine:
-    """`machine` with caches of other sizes."""
-    return replace(machine, l1=Cache(l1, machine.l1.ways), l2=Cache(l2, machine.l2.ways))
 
 
 @dataclass(frozen=True, kw_only=True)

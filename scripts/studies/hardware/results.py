@@ -12,15 +12,20 @@ from studies.study import Report, Row
 TITLES = {"small": "a second-level cache of 1 MB", "large": "a second-level cache of 256 MB, which holds the scene"}
 
 
+def is_beyond(row: Row) -> bool:
+    """Whether queues and buffers lie beyond the second-level cache: those in memory, but the large one holds them."""
+    return row["queues_in_memory"] and row["cache"] != "large"
+
+
 def from_memory(row: Row, queues: bool = True) -> float:
     """Bytes of a ray, with what queues in memory take or without."""
-    own = (row["queue_written"] + row["queue_read"]) * (row["queues_in_memory"] and queues)
+    own = (row["queue_written"] + row["queue_read"]) * (is_beyond(row) and queues)
     return (row["memory_bytes"] + own) / row["rays"]
 
 
 def from_l2(row: Row, queues: bool = True) -> float:
     """Bytes of a ray, with what queues on the chip take or without."""
-    own = (row["queue_written"] + row["queue_read"]) * (not row["queues_in_memory"] and queues)
+    own = (row["queue_written"] + row["queue_read"]) * (not is_beyond(row) and queues)
     return (row["l2_bytes"] + own) / row["rays"]
 
 

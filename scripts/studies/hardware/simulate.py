@@ -10,14 +10,12 @@ import warp as wp
 from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
 from studies.hardware.caches import Lines, Memory, add, find, read_line, read_there, request
 from studies.hardware.engine import (
-    ACCUMULATE,
     CYCLES,
     FINISHED,
     ITEMS,
     POLL,
     QUEUE_WRITTEN,
     QUEUED,
-    QUEUES,
     ROW_FREE,
     State,
     Work,
@@ -34,7 +32,7 @@ from studies.hardware.engine import (
     wait_in_row,
     word_of,
 )
-from studies.hardware.machine import COUNTERS, TICKS, Cache, Counts, Plan
+from studies.hardware.machine import ACCUMULATE, COUNTERS, QUEUES, TICKS, Cache, Counts, Plan
 from studies.hardware.traces import NODE_WORDS, TRIANGLE_WORDS, WORD_BYTES
 
 LAST_TICK = TICKS - 1  # of a cycle
