@@ -58,7 +58,7 @@ class State:
     """Of slots, processors, rows and queues."""
 
     heap: wp.array(dtype=wp.int64)
-    size: wp.array(dtype=int)  # of the heap; then rays begun, finished, in queues; shape [4]
+    size: wp.array(dtype=int)  # of the heap; then rays begun, finished, in queues; queues with rays; shape [5]
     ray: wp.array(dtype=int)  # by slot, -1: none
     at: wp.array(dtype=wp.int64)  # by slot, its next item
     served: wp.array(dtype=int)  # by slot, ACCUMULATE: lines of the next item that it was given, as bits
@@ -70,6 +70,7 @@ class State:
     coming: wp.array(dtype=int)  # by processor, rows on their way
     bound: wp.array(dtype=int)  # by processor, the treelet that it serves, -1: none
     servers: wp.array(dtype=int)  # by treelet, processors that serve it
+    winner: wp.array(dtype=int)  # of all queues in the last half, above it of pairs: which is served before; [1] of all
     count: wp.array(dtype=int)  # by treelet, rays that wait
     head: wp.array(dtype=int)
     tail: wp.array(dtype=int)
@@ -145,6 +146,43 @@ def sector_mask(m: Memory, line: int, first: int, last: int) -> int:
 
 
 @wp.func
+def wins(w: Work, s: State, a: int, b: int) -> int:
+    """Of two treelets, -1 for none, that whose queue is to be served before, `a` where they are alike: of LAZY one that
+    no processor serves, else the fuller; of BALANCED that with more rays for each processor that would serve it.
+    """
+    won = int(a)
+    if a < 0:
+        won = b
+    elif b >= 0:
+        if w.selection == LAZY:
+            free_a = wp.where(s.servers[a] == 0, 1, 0)
+            free_b = wp.where(s.servers[b] == 0, 1, 0)
+            if free_b > free_a or (free_b == free_a and s.count[b] > s.count[a]):
+                won = b
+        elif wp.int64(s.count[b]) * wp.int64(1 + s.servers[a]) > wp.int64(s.count[a]) * wp.int64(1 + s.servers[b]):
+            won = b
+    return won
+
+
+@wp.func
+def compete(w: Work, s: State, q: int):
+    """The queue of a treelet, or who serves it, has changed."""
+    i = s.winner.shape[0] / 2 + q
+    s.winner[i] = wp.where(s.count[q] > 0, q, -1)
+    i = i / 2
+    while i > 0:
+        s.winner[i] = wins(w, s, s.winner[2 * i], s.winner[2 * i + 1])
+        i = i / 2
+
+
+@wp.func
+def serve(w: Work, s: State, q: int, change: int):
+    """So many more processors serve the treelet."""
+    s.servers[q] = s.servers[q] + change
+    compete(w, s, q)
+
+
+@wp.func
 def enqueue(w: Work, s: State, ray: int, at: wp.int64):
     """A ray waits at the treelet of its next item."""
     q = treelet_of(w, w.items[at])
@@ -156,7 +194,10 @@ def enqueue(w: Work, s: State, ray: int, at: wp.int64):
         s.behind[s.tail[q]] = ray
     s.tail[q] = ray
     s.count[q] = s.count[q] + 1
+    if s.count[q] == 1:
+        s.size[4] = s.size[4] + 1
     s.size[3] = s.size[3] + 1
+    compete(w, s, q)
 
 
 @wp.func
@@ -174,33 +215,11 @@ def begin_queued(w: Work, s: State, m: Memory):
 
 @wp.func
 def choose(w: Work, s: State, m: Memory, p: int):
-    """Processor `p` is given another queue: of LAZY the fullest that no other one serves, else the fullest; of BALANCED
-    that with the most rays for each processor that would serve it.
-    """
+    """Processor `p` is given another queue."""
     if s.bound[p] >= 0:
-        s.servers[s.bound[p]] = s.servers[s.bound[p]] - 1
-    best = int(-1)
-    best_free = int(0)
-    for q in range(w.treelet_count):
-        count = s.count[q]
-        if count > 0:
-            better = best < 0
-            if best >= 0:
-                if w.selection == LAZY:
-                    free = int(0)
-                    if s.servers[q] == 0:
-                        free = 1
-                    better = free > best_free or (free == best_free and count > s.count[best])
-                else:
-                    mine = wp.int64(count) * wp.int64(1 + s.servers[best])
-                    better = mine > wp.int64(s.count[best]) * wp.int64(1 + s.servers[q])
-            if better:
-                best = q
-                best_free = 0
-                if s.servers[q] == 0:
-                    best_free = 1
-    s.bound[p] = best
-    s.servers[best] = s.servers[best] + 1
+        serve(w, s, s.bound[p], -1)
+    s.bound[p] = s.winner[1]
+    serve(w, s, s.bound[p], 1)
     add(m, QUEUE_VISITS, 1)
 
 
@@ -228,16 +247,16 @@ def take(w: Work, s: State, m: Memory, slot: int, now: wp.int64) -> wp.int64:
             if s.bound[p] < 0 or s.count[s.bound[p]] == 0:
                 choose(w, s, m, p)
             elif w.selection == BALANCED:
-                full = int(0)
-                for q in range(w.treelet_count):
-                    if s.count[q] > 0:
-                        full += 1
-                if s.count[s.bound[p]] * full < s.size[3] and s.servers[s.bound[p]] > 1:
+                own = wp.int64(s.count[s.bound[p]]) * wp.int64(s.size[4])
+                if own < wp.int64(s.size[3]) and s.servers[s.bound[p]] > 1:
                     choose(w, s, m, p)
             q = s.bound[p]
             ray = s.head[q]
             s.head[q] = s.behind[ray]
             s.count[q] = s.count[q] - 1
+            if s.count[q] == 0:
+                s.size[4] = s.size[4] - 1
+            compete(w, s, q)
             s.size[3] = s.size[3] - 1
             s.ray[slot] = ray
             s.at[slot] = s.stopped[ray]

@@ -214,7 +214,7 @@ def _work(plan: Plan) -> Work:
 
 def _state(plan: Plan, work: Work) -> State:
     processors, slots, state = plan.machine.processors, plan.machine.processors * plan.machine.slots, State()
-    state.heap, state.size = _full(slots + 1, 0, wp.int64), _full(4, 0)
+    state.heap, state.size = _full(slots + 1, 0, wp.int64), _full(5, 0)
     for name in ("ray", "leads", "after", "where"):
         setattr(state, name, _full(slots, -1))
     state.at, state.served = _full(slots, 0, wp.int64), _full(slots, 0)
@@ -223,6 +223,7 @@ def _state(plan: Plan, work: Work) -> State:
     state.bound = _full(processors, -1)
     for name in ("servers", "count", "head", "tail"):
         setattr(state, name, _full(work.treelet_count, 0))
+    state.winner = _full(2 << int(work.treelet_count).bit_length(), -1)
     waiting = work.ray_count if plan.mode == QUEUES else 0
     state.behind, state.stopped = _full(waiting, -1), _full(waiting, 0, wp.int64)
     state.votes = _full(processors * work.treelet_count if work.vote else 0, 0)
