@@ -103,6 +103,14 @@ POLICIES: tuple[Policy, ...] = (
     TreeletQueues(
         name="streams beside the L2", rule="breadth", alive=16_384, ray_bytes=CHIP_BYTES, in_memory=False, grouped=True
     ),
+    TreeletQueues(
+        name="streams beside the L2, treelets by area",
+        rule="area",
+        alive=16_384,
+        ray_bytes=CHIP_BYTES,
+        in_memory=False,
+        grouped=True,
+    ),
     TreeletPrefetch(name="treelets of 512 B, no prefetching", vote_cycles=0),
     TreeletPrefetch(name="prefetching, always (Chou)"),
     TreeletPrefetch(name="prefetching, by a quarter of the rays", threshold=0.25),

@@ -35,15 +35,16 @@ def found(report: Report) -> dict[tuple[str, str, str, str], Row]:
 
 
 def fragment(reports: dict[str, Report]) -> str:
-    """Tables of the CPU's report: the simulation knows no device."""
-    report = next(iter(reports.values()))
+    """Tables of the CPU's report, which has all there is; the simulation knows no device."""
+    report = reports.get("cpu") or next(iter(reports.values()))
     rows = found(report)
     parts = [_plain(rows)]
     for cache, title in TITLES.items():
         for scene in SCENES:
             if any((scene, kind, cache, POLICIES[0].name) in rows for kind in KINDS):
                 parts += [f"**{scene}**, {title}", _policies(rows, scene, cache)]
-    parts += ["**Requests, queues, prefetching, time**: bounce4, the small cache", _details(rows)]
+    if any(kind == "bounce4" for _, kind, _, _ in rows):
+        parts += ["**Requests, queues, prefetching, time**: bounce4, the small cache", _details(rows)]
     parts += ["**For a profiler**: single rays, caches of the H100's sizes", _checked(report)]
     return "\n\n".join(parts)
 
@@ -114,7 +115,7 @@ def draw(reports: dict[str, Report], folder: Path) -> None:
     """Bytes from memory over those of plain, by policy, of bounce4 with the small cache."""
     from studies import plots
 
-    rows = found(next(iter(reports.values())))
+    rows = found(reports.get("cpu") or next(iter(reports.values())))
     figure, axes = plots.panels(2)
     present = [scene for scene in SCENES if (scene, "bounce4", "small", POLICIES[0].name) in rows]
     names = [policy.name for policy in POLICIES]
