@@ -6,7 +6,18 @@ import difflib
 
 from lib.command import UsageError
 
-from studies import adaptive, batching, budgets, cycles, light_sampling, many_lights, many_workers, sequences, thesis
+from studies import (
+    adaptive,
+    batching,
+    budgets,
+    cycles,
+    hardware,
+    light_sampling,
+    many_lights,
+    many_workers,
+    sequences,
+    thesis,
+)
 from studies.images import environment, image_budgets, textures
 from studies.motion import trees_over_time
 from studies.study import Study
@@ -26,6 +37,7 @@ STUDIES: dict[str, Study] = {
         image_budgets.STUDY,
         budgets.STUDY,
         trees_over_time.STUDY,
+        hardware.STUDY,
         cycles.STUDY,
     )
 }
