@@ -236,10 +236,12 @@ def is_diagnosed(future: Any) -> bool:
 
 
 def told(future: Any) -> Any:
-    """The small result of a future that is done, or why there is none, as `calls.call` has errors."""
+    """The small result of a future that is done, or why there is none, as `calls.call` has errors; `is_lost`: it may
+    well be there when it is asked for again.
+    """
     if future.status != "finished":
-        return {"text": why_lost(future)}
+        return {"text": why_lost(future), "is_lost": future.status != "error"}
     try:
         return future.result(timeout=_TOLD_SECONDS)
     except (TimeoutError, CancelledError, OSError):  # its worker ended meanwhile, and Dask would have it made again
-        return {"text": "it was lost with its worker"}
+        return {"text": "it was lost with its worker", "is_lost": True}

@@ -166,7 +166,8 @@ class Staging:
         found = told(future)
         if not isinstance(found, dict):
             return found
-        self._left_out.count(host, f"{host} cannot keep the scene: {found['text']}", keeping=True)
+        if not found.get("is_lost"):  # as where a busy worker does not answer in time
+            self._left_out.count(host, f"{host} cannot keep the scene: {found['text']}", keeping=True)
         return None
 
     def _drop_gone(self, there: set[str]) -> None:

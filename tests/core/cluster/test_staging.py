@@ -21,12 +21,16 @@ class Cluster:
 
     def __init__(self, *full):
         self.full, self.asked, self.known, self.slow = set(full), [], set(), set()
+        self.busy = []  # hosts that do not answer in time, as often as they are here
 
     def submit(self, name, *_arguments, workers, priority):
         host = workers[0].removeprefix("tcp://").removesuffix(":1")
         self.asked.append((name, host))
         found = ["one", "two"] if name == "lacks" else 2
         done = lambda: name == "lacks" or host not in self.slow  # noqa: E731
+        if name == "put" and host in self.busy:
+            self.busy.remove(host)
+            return SimpleNamespace(done=done, status="finished", result=lambda timeout: late())
         if name == "put" and host in self.full:
             found = {"error": "StoreError", "text": "No space left on device"}
         return SimpleNamespace(done=done, status="finished", result=lambda timeout: found)
@@ -37,6 +41,10 @@ class Cluster:
 
     def send(self, arrays, _worker):
         return arrays
+
+
+def late():
+    raise TimeoutError
 
 
 @pytest.fixture
@@ -85,6 +93,14 @@ def test_failures_before_a_machine_had_the_scene_do_not_count(clock):
         cluster.full = set()
         steps(staging)
         assert staging.ready == {"a", "b"}
+
+
+def test_a_machine_that_does_not_answer_in_time_is_asked_again(clock):
+    cluster, left_out = Cluster(), LeftOut(ClusterEvents())
+    cluster.busy = ["b"] * 7
+    staging = Staging(cluster, PARTS, left_out)
+    steps(staging)
+    assert staging.ready == {"a", "b"} and not left_out.hosts and not cluster.busy
 
 
 def test_a_machine_that_is_left_out_while_parts_come_is_asked_again(clock):
