@@ -55,6 +55,9 @@ GPU = Machine(
     memory_latency=600,
 )
 
+# Queues in memory as Aila and Karras have them
+_QUEUES = functools.partial(TreeletQueues, rule="area", alive=32_768, ray_bytes=STATE_BYTES, in_memory=True)
+
 POLICIES: tuple[Policy, ...] = (
     Plain(),
     Plain("plain, rays shuffled", order="shuffled"),
@@ -66,31 +69,9 @@ POLICIES: tuple[Policy, ...] = (
     Accumulation("accumulation (SGRT)", 64, 64),
     Accumulation("accumulation, 256 rays a processor", 256, 256, slots=256),
     Accumulation("accumulation, the same, two registers", 256, 2, slots=256),
-    TreeletQueues(
-        name="queues, lazy (Aila, Karras)",
-        rule="area",
-        selection=LAZY,
-        alive=32_768,
-        ray_bytes=STATE_BYTES,
-        in_memory=True,
-    ),
-    TreeletQueues(
-        name="queues, balanced (Aila, Karras)",
-        rule="area",
-        selection=BALANCED,
-        alive=32_768,
-        ray_bytes=STATE_BYTES,
-        in_memory=True,
-    ),
-    TreeletQueues(
-        name="queues, lazy, rays end with treelets",
-        rule="area",
-        selection=LAZY,
-        alive=32_768,
-        ray_bytes=STATE_BYTES,
-        in_memory=True,
-        grouped=True,
-    ),
+    _QUEUES(name="queues, lazy (Aila, Karras)", selection=LAZY),
+    _QUEUES(name="queues, balanced (Aila, Karras)", selection=BALANCED),
+    _QUEUES(name="queues, lazy, rays end with treelets", selection=LAZY, grouped=True),
     TreeletQueues(
         name="streams instead of the L2 (STRaTA)",
         rule="breadth",

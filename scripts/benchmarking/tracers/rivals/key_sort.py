@@ -44,9 +44,9 @@ class KeyRule:
     hit_t: wp.array(dtype=float)
 
 
-def _source(*headers: str, **defines: int) -> str:
+def _source(header: str, device: str = "", **defines: int) -> str:
     keys = {key.name: int(key) for key in Key}
-    return native_source("keys.h", *headers, beside=FOLDER, **keys, **defines)
+    return native_source("keys.h", header, device=device, beside=FOLDER, **defines, **keys)
 
 
 @functools.cache
@@ -84,16 +84,7 @@ def host_sort_kernel() -> wp.Kernel:
     """Kernel (origin, direction, rule, slots, count, entries, result) for the CPU, as `order.ray_sort.
     host_sort_kernel`."""
 
-    @wp.func_native(
-        native_source(
-            "keys.h",
-            "sort/host_sort.h",
-            device="cpu",
-            beside=FOLDER,
-            DIGIT_BITS=_DIGIT_BITS,
-            **{key.name: int(key) for key in Key},
-        )
-    )
+    @wp.func_native(_source("sort/host_sort.h", "cpu", DIGIT_BITS=_DIGIT_BITS))
     def sort(
         rays_origin: wp.array(dtype=wp.vec3),
         rays_direction: wp.array(dtype=wp.vec3),

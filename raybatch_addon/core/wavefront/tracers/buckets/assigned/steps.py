@@ -88,10 +88,10 @@ class AssignedSteps:
 
     def _urgent_queues(self, counts: np.ndarray, loads: np.ndarray) -> np.ndarray:
         """Queues whose rays waited for as long as they may, and where blocks ran out that of the fullest bucket."""
-        urgent = np.zeros(0, np.int64)
+        urgent, state = np.zeros(0, np.int64), self._queues.fetch_state()
         if self._wait_max:
-            since, step = self._queues.blocks.since.numpy(), int(self._queues.fetch_state()[STEP])
-            urgent = np.flatnonzero((counts > 0) & (step - since > self._wait_max))
-        if self._queues.fetch_state()[OVERFLOW] > 0:
+            waited = int(state[STEP]) - self._queues.blocks.since.numpy()
+            urgent = np.flatnonzero((counts > 0) & (waited > self._wait_max))
+        if state[OVERFLOW] > 0:
             urgent = np.union1d(urgent, self._fuller_queues(counts, loads.argmax(keepdims=True)))
         return urgent
