@@ -209,6 +209,17 @@ class SchedulerSettings:
         off=0,
         start=64,
     )
+    queues_per_ray: int = setting(
+        1,
+        "Queues a Ray",
+        "Treelets at which a ray waits at a time, at most: the next ones that it meets. With 1 it goes on behind one "
+        "before it waits at another",
+        group="SCHEDULER",
+        effect="schedule",
+        unit="treelets",
+        minimum=1,
+        maximum=8,
+    )
     treelet_cache: int = setting(
         0,
         "Cached",

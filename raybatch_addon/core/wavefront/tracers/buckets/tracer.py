@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import warp as wp
 
@@ -36,6 +37,8 @@ from .policy import QueueNumbers, Selection, Step
 from .policy_device import AMOUNT, BUDGET, STEP_KIND, DevicePolicy, policy_kernels
 from .queues import BucketQueues, queue_kernels
 from .serve import QueueRules, QueueServer
+from .several.serve import SeveralServer
+from .several.storage import RayCopies, copies_of
 from .steps import FusedSteps, LaunchedSteps, LoopSteps, Steps, host_step_kernel
 from .storage import STORAGES, InPlace
 
@@ -92,7 +95,7 @@ def batching_kernels(
     else:
         kernels += policy_kernels(device)
         kernels += LOOP_KERNELS if device.is_cuda else [host_step_kernel]
-    kernels += STORAGES[settings.ray_storage].kernels
+    kernels += (RayCopies if queues_per_ray(settings) > 1 else STORAGES[settings.ray_storage]).kernels
     return kernels + [kernel for stage in stages.values() for kernel in stage.kernels]
 
 
@@ -100,12 +103,17 @@ def batching_bytes_per_path(
     settings: RenderSettings, shadow_rays: bool, instancing: bool, levels: int, is_cuda: bool, moving: bool = False
 ) -> int:
     """Device memory of a `BatchingTracer` for each path alive, but for what batches need, which is bounded [bytes]."""
-    many, queues = 1 << 22, 512
+    many, queues, places = 1 << 22, 512, queues_per_ray(settings)
     size = pool_size(queues, settings.queue_size, settings.queue_count, many)
     progress_bytes = 4 * trail_words(levels) + 4 * instancing
-    storage = STORAGES[settings.ray_storage]
+    storage = RayCopies if places > 1 else STORAGES[settings.ray_storage]
     stored = storage.bytes_per_slot(progress_bytes, instancing, moving, size.entry_count / many)
-    return math.ceil((1 + shadow_rays) * (stored + pool_bytes(size, queues, is_cuda) / many))
+    return math.ceil((1 + shadow_rays) * places * (stored + pool_bytes(size, queues, is_cuda) / many))
+
+
+def queues_per_ray(settings: RenderSettings) -> int:
+    """Treelets at which a ray waits at a time, at most. Rays that go on through treelets in a cache wait at one."""
+    return 1 if settings.treelet_cache else settings.queues_per_ray
 
 
 def host_chooses(settings: RenderSettings, is_cuda: bool) -> bool:
@@ -153,8 +161,13 @@ class BatchingTracer:
         self._timer, self._numbers = worker.timer, QueueNumbers(treelet_tree.treelet_count)
         self._rules = QueueRules(self._numbers)
         self._selection = selection_of(settings, device.is_cuda)
-        storage = STORAGES[settings.ray_storage]
-        queue_total, slot_count = self._numbers.queue_total, worker.slot_count
+        storage, server_type = STORAGES[settings.ray_storage], QueueServer
+        queue_total, self._copies = self._numbers.queue_total, copies_of(queues_per_ray(settings), worker.slot_count)
+        slot_count = worker.slot_count * self._copies
+        given: dict[str, Any] = {}
+        if self._copies > 1:
+            storage, server_type = RayCopies, SeveralServer
+            given = {"width": self._copies, "tree": treelet_tree.tree}
         if not capacity:
             size = pool_size(queue_total, settings.queue_size, settings.queue_count, slot_count)
             capacity = storage.batch_capacity(slot_count, size.queue_size, device.is_cuda)
@@ -177,6 +190,7 @@ class BatchingTracer:
             instancing=instancing,
             moving=moving,
             counts=counts,
+            **given,
         )
         self._finished = FinishedLists(self._queues.capacity, worker.path_count, worker.shadow_kind, device)
         rays_few = few_rays(settings, device.is_cuda) if rays_few is None else rays_few
@@ -186,7 +200,7 @@ class BatchingTracer:
         for stage in stages.values():
             stage.prepare(device)
         served = treelet_tree, stages, self._queues, self._storage, self._numbers
-        self._server = QueueServer(*served, worker.timer)
+        self._server = server_type(*served, worker.timer)
         self._totals = BatchingTotals(block_count=self._queues.size.block_count)
         self._made_at = time.perf_counter()
         self._step = self._host_steps = self._forgotten = self._forgotten_done = 0
@@ -215,7 +229,8 @@ class BatchingTracer:
             capacity=self._queues.capacity,
         )
         led = policy, self._server, worker.timer
-        parallel_queues, is_stepwise = self._queues.parallel_queues, self._selection != Selection.ALL and not debug
+        parallel_queues = self._queues.parallel_queues
+        is_stepwise = self._selection != Selection.ALL and not debug and self._copies == 1
         if is_stepwise and parallel_queues and counts is None:
             untimed = QueueServer(*served, NoTimer())  # the loop is timed as one
             launched = treelet_tree.layout, instancing, False, settings, device, curves, moving
@@ -238,7 +253,7 @@ class BatchingTracer:
         self._count_steps()
         waiting = self._queues.waiting
         self._note_occupancy(waiting)
-        target = max(1, int(waiting * ADVANCE_SHARE))
+        target = max(1, int(waiting * ADVANCE_SHARE / self._copies))
         self._steps.begin(target)
         while True:
             choice = self._steps.choose()
@@ -266,16 +281,18 @@ class BatchingTracer:
         if count == 0:
             return []
         with self._timer.stage("queue"):
-            self._finished.split(self._queues.take([self._numbers.done], self._rules.entry, bound=count))
+            taken = self._queues.take([self._numbers.done], self._rules.entry, bound=count)
+            self._finished.split(self._storage.finished(taken))
         finished = self._finished.fetch()
         self._totals.finished += sum(rays.bound for _, rays in finished)
         return finished
 
     def forget(self) -> None:
         """See `Tracer.forget`."""
-        self._forgotten += self._queues.waiting
+        self._forgotten += self._storage.under_way(self._queues.waiting)
         self._forgotten_done += int(self._queues.fetch_counts()[self._numbers.done])
         self._queues.clear()
+        self._storage.clear()
 
     def release(self) -> None:
         """See `Tracer.release`."""
@@ -286,7 +303,7 @@ class BatchingTracer:
         totals, queues = self._totals, self._queues
         for name, value in queues.totals().items():
             setattr(totals, name, value)
-        totals.rays = totals.finished + queues.waiting + self._forgotten
+        totals.rays = totals.finished + self._storage.under_way(queues.waiting) + self._forgotten
         # rays that are done wait in a queue too, which is none of those that cost
         totals.rays_queued -= totals.finished + int(queues.fetch_counts()[self._numbers.done]) + self._forgotten_done
         totals.treelet_visits = int(self._storage.progress.visits.numpy()[0])
