@@ -354,6 +354,20 @@ class TreeletSettings:
         auto=0,
         start=2**20,
     )
+    treelet_tier_bytes: int = setting(
+        0,
+        "Large Treelets",
+        "Most memory of a large treelet, such as the size of a larger cache: rays wait there, and then at the treelets "
+        "in it; with {rest} treelets are in no others. Pages of geometry beyond memory are large treelets, whatever "
+        "their size",
+        group="TREELETS",
+        effect="schedule",
+        unit=BYTES,
+        minimum=0,
+        maximum=INT_MAX,
+        off=0,
+        start=2**25,
+    )
     top_level_depth_max: int = setting(
         64,
         "Top Levels",

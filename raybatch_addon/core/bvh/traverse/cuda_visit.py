@@ -33,12 +33,13 @@ def quantised_visit_source(options: VisitOptions) -> str:
     if options.takes_together:
         options = replace(options, refill=32)
     levels = 2 * STACK_MESH if options.instancing else STACK_MESH  # of trees that the stack is made for
+    rays = "traverse/quantised/visit_rays.h"
     return native_source(
         *motion_headers(options),
         *NODE_HEADERS,
         "traverse/quantised/visit_lane.h",
         *lane_headers(options),
-        "traverse/quantised/visit_rays.h",
+        *(("traverse/quantised/tiers_names.h", rays, "traverse/quantised/tiers.h") if options.tiers else (rays,)),
         "traverse/quantised/visit_steps.h",
         "traverse/quantised/loop.h",
         "traverse/quantised/visit_end.h",

@@ -56,6 +56,7 @@ class VisitOptions(TraversalOptions):
 
     task: VisitTask
     interlocked: bool = False  # in TOP, new rays are taken only when all that are carried have stopped
+    tiers: bool = False  # in TOP, there are large treelets
 
     def __post_init__(self) -> None:
         super().__post_init__()

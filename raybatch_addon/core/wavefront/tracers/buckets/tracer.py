@@ -23,6 +23,7 @@ from ....measure.timing import NoTimer
 from ....rays import NO_ANY_HIT, RayKind, RayList
 from ....settings.settings import RenderSettings
 from ...plan.launch import Launch
+from ...plan.plan import has_tiers
 from ...rays import trail_words
 from ..visit import VisitStage, visit_stage
 from ..worker_rays import WorkerRays
@@ -30,6 +31,8 @@ from .assigned.immediate import ImmediateSteps, RecentTreelets, show_kernel
 from .assigned.policies import SEVERAL, assignment_of
 from .assigned.prefetch import TreeletPrefetch, prefetch_kernel
 from .assigned.steps import AssignedSteps, next_step_kernel
+from .assigned.tiers import TierServer, bucket_large
+from .assigned.within import WithinLarge
 from .blocks import STEP, pool_bytes, pool_size
 from .device_loop import LOOP_KERNELS, DeviceLoop
 from .finished import SPLIT_KERNELS, FinishedLists
@@ -68,12 +71,14 @@ def visit_stages(
     moving: bool = False,
 ) -> dict[VisitTask, VisitStage]:
     """The stages that rays go through."""
-    interlocked = settings.top_level_traversal == "INTERLOCKED"
+    interlocked, tiers = settings.top_level_traversal == "INTERLOCKED", has_tiers(settings)
     found = {"instancing": instancing, "counters": counters, "curves": curves, "motion": moving}
-    return {
-        task: visit_stage(layout, VisitOptions(task=task, interlocked=interlocked, **found), Launch.of(settings))
+    options = [
+        VisitOptions(task=task, interlocked=interlocked, tiers=tiers and task is VisitTask.TOP, **found)
         for task in VisitTask
-    }
+        if not (tiers and task is VisitTask.GO_ON)
+    ]
+    return {each.task: visit_stage(layout, each, Launch.of(settings)) for each in options}
 
 
 def batching_kernels(
@@ -112,13 +117,15 @@ def batching_bytes_per_path(
 
 
 def queues_per_ray(settings: RenderSettings) -> int:
-    """Treelets at which a ray waits at a time, at most. Rays that go on through treelets in a cache wait at one."""
-    return 1 if settings.treelet_cache else settings.queues_per_ray
+    """Treelets at which a ray waits at a time, at most. One where rays go on through treelets in a cache, or treelets
+    are in large ones.
+    """
+    return 1 if settings.treelet_cache or has_tiers(settings) else settings.queues_per_ray
 
 
 def host_chooses(settings: RenderSettings, is_cuda: bool) -> bool:
     """Whether the host is asked in each step which buckets are served."""
-    helped = settings.treelet_cache > 0 or settings.is_on("treelet_prefetch")
+    helped = settings.treelet_cache > 0 or settings.is_on("treelet_prefetch") or has_tiers(settings)
     return helped or selection_of(settings, is_cuda) in SEVERAL
 
 
@@ -158,7 +165,7 @@ class BatchingTracer:
         of CUDA devices, on the CPU too. `capacity`: rays of a batch at most. Where these are not given they are chosen.
         """
         device, counts, debug = worker.device, worker.counts, settings.is_on("debug_checks")
-        self._timer, self._numbers = worker.timer, QueueNumbers(treelet_tree.treelet_count)
+        self._timer, self._numbers = worker.timer, QueueNumbers(treelet_tree.treelet_count + treelet_tree.large_count)
         self._rules = QueueRules(self._numbers)
         self._selection = selection_of(settings, device.is_cuda)
         storage, server_type = STORAGES[settings.ray_storage], QueueServer
@@ -168,6 +175,8 @@ class BatchingTracer:
         if self._copies > 1:
             storage, server_type = RayCopies, SeveralServer
             given = {"width": self._copies, "tree": treelet_tree.tree}
+        elif has_tiers(settings):
+            server_type = TierServer
         if not capacity:
             size = pool_size(queue_total, settings.queue_size, settings.queue_count, slot_count)
             capacity = storage.batch_capacity(slot_count, size.queue_size, device.is_cuda)
@@ -208,6 +217,8 @@ class BatchingTracer:
         self._steps: Steps
         if host_chooses(settings, device.is_cuda):
             asked = assignment_of(self._selection, processor_count(settings, device), settings.seed)
+            if treelet_tree.large_count:
+                asked = WithinLarge(asked, bucket_large(treelet_tree))
             prefetch = TreeletPrefetch(treelet_tree) if settings.is_on("treelet_prefetch") else None
             rules = {"numbers": self._numbers, "wait_max": settings.bucket_wait_max, "rays_few": rays_few}
             rules["prefetch"] = prefetch
