@@ -15,6 +15,7 @@ from studies import (
     light_sampling,
     many_lights,
     many_workers,
+    schedulers,
     sequences,
     thesis,
 )
@@ -38,6 +39,7 @@ STUDIES: dict[str, Study] = {
         budgets.STUDY,
         trees_over_time.STUDY,
         hardware.STUDY,
+        schedulers.STUDY,
         cycles.STUDY,
     )
 }
