@@ -185,7 +185,7 @@ class WaitingTracer(MeasuredTracer):
         return hits_of(self._rays, self._any_hit)
 
     def done(self) -> dict[str, Any]:
-        """What the last run did, of a tracer whose rays wait: visits to treelets and waits in queues of a ray, pages."""
+        """What the last run did where rays wait: visits to treelets and waits in queues of a ray, and pages."""
         before, after = self._before, self._tracer.totals()
         return {
             "treelet_visits": (after.treelet_visits - before.treelet_visits) / self._count,
