@@ -48,9 +48,9 @@ def test_the_plain_film_shows_something(comparers, name):
 # both tiers it leaves to `test_tiers.py`, and others of tracers to other scenes
 FIXED = {
     "open": {"kernel_tier": "AUTO", "counters": "OFF", "single_lane": "ON", "warp_count": 1},
-    "closed": {"kernel_tier": "AUTO", "counters": "ON", "single_lane": "OFF"},
-    "mixed": {"kernel_tier": "AUTO", "counters": "ON", "single_lane": "OFF"},
-    "living": {"kernel_tier": "AUTO", "counters": "OFF", "single_lane": "OFF"},
+    "closed": {"kernel_tier": "AUTO", "counters": "ON", "single_lane": "OFF", "treelet_tier_bytes": 0},
+    "mixed": {"kernel_tier": "AUTO", "counters": "ON", "single_lane": "OFF", "treelet_tier_bytes": 0},
+    "living": {"kernel_tier": "AUTO", "counters": "OFF", "single_lane": "OFF", "treelet_tier_bytes": 0},
 }
 
 
