@@ -12,9 +12,9 @@ from raybatch_addon.core.wavefront.tracers.buckets.blocks import PLACES_MAX
 from raybatch_addon.core.wavefront.tracers.buckets.several.kernels import (
     PARKED,
     Copies,
-    enter_kernel,
-    gather_kernel,
-    leave_kernel,
+    enter_copies_kernel,
+    gather_copies_kernel,
+    leave_copies_kernel,
 )
 from raybatch_addon.core.wavefront.tracers.buckets.several.storage import copies_of
 from raybatch_addon.core.wavefront.tracers.buckets.tracer import batching_bytes_per_path, batching_kernels
@@ -115,9 +115,9 @@ def come_back(state, places):
     batch.slots = wp.array(places, dtype=int, device=DEVICE)
     batch.locations = wp.array([10 + place for place in places], dtype=int, device=DEVICE)
     batch.count = wp.array([len(places)], dtype=int, device=DEVICE)
-    wp.launch(enter_kernel, len(places), [copies, rays, batch], device=DEVICE)
-    wp.launch(leave_kernel, len(places), [copies, rays, batch], device=DEVICE)
-    wp.launch(gather_kernel, len(places), [home, tree, copies, rays, progress, batch], device=DEVICE)
+    wp.launch(enter_copies_kernel, len(places), [copies, rays, batch], device=DEVICE)
+    wp.launch(leave_copies_kernel, len(places), [copies, rays, batch], device=DEVICE)
+    wp.launch(gather_copies_kernel, len(places), [home, tree, copies, rays, progress, batch], device=DEVICE)
     return batch.slots.numpy().tolist(), batch.locations.numpy().tolist()
 
 
@@ -168,5 +168,5 @@ def test_memory_and_kernels_of_copies():
     assert four > 4 * one
     assert batching_bytes_per_path(RenderSettings(queues_per_ray=4, treelet_cache=1), True, True, 6, True) == one
     device = wp.get_device(DEVICE)
-    assert gather_kernel in batching_kernels(LAYOUTS[0], True, False, several, device)
-    assert gather_kernel not in batching_kernels(LAYOUTS[0], True, False, RenderSettings(), device)
+    assert gather_copies_kernel in batching_kernels(LAYOUTS[0], True, False, several, device)
+    assert gather_copies_kernel not in batching_kernels(LAYOUTS[0], True, False, RenderSettings(), device)

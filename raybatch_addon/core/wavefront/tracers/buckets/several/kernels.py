@@ -67,7 +67,7 @@ def entry_of(progress: TopProgress, rays: Rays, place: int) -> int:
 
 
 @wp.kernel(**KERNEL_OPTIONS)
-def begin_kernel(home: Rays, copies: Copies, rays: Rays, batch: DeviceRayList, places: wp.array(dtype=int)):
+def begin_copies_kernel(home: Rays, copies: Copies, rays: Rays, batch: DeviceRayList, places: wp.array(dtype=int)):
     """By new ray of the batch: what does not change goes to all of its places; `places` gets the first."""
     i = wp.tid()
     if i >= batch.count[0]:
@@ -81,7 +81,7 @@ def begin_kernel(home: Rays, copies: Copies, rays: Rays, batch: DeviceRayList, p
 
 
 @wp.kernel(**KERNEL_OPTIONS)
-def spread_kernel(
+def spread_copies_kernel(
     copies: Copies,
     rays: Rays,
     progress: TopProgress,
@@ -105,7 +105,7 @@ def spread_kernel(
 
 
 @wp.kernel(**KERNEL_OPTIONS)
-def send_kernel(
+def send_copies_kernel(
     home: Rays, copies: Copies, rays: Rays, batch: DeviceRayList, locations: wp.array2d(dtype=int), passes: int
 ):
     """By ray of the batch, whose first copy and `passes` others went through the top level, these to `locations`: how
@@ -151,7 +151,7 @@ def send_kernel(
 
 
 @wp.kernel(**KERNEL_OPTIONS)
-def enter_kernel(copies: Copies, rays: Rays, batch: DeviceRayList):
+def enter_copies_kernel(copies: Copies, rays: Rays, batch: DeviceRayList):
     """By copy of the batch, before it visits its treelet: what others met in the meantime counts for it. Where they met
     something nearer, its own hit is forgotten, and only a hit that is no farther than theirs is looked for.
     """
@@ -173,7 +173,7 @@ def enter_kernel(copies: Copies, rays: Rays, batch: DeviceRayList):
 
 
 @wp.kernel(**KERNEL_OPTIONS)
-def leave_kernel(copies: Copies, rays: Rays, batch: DeviceRayList):
+def leave_copies_kernel(copies: Copies, rays: Rays, batch: DeviceRayList):
     """By copy of the batch, behind its visit: it is back, and what it met is known to the others."""
     i = wp.tid()
     if i >= batch.count[0]:
@@ -213,7 +213,9 @@ def closest_copy(tree: Tree, copies: Copies, rays: Rays, progress: TopProgress, 
 
 
 @wp.kernel(**KERNEL_OPTIONS)
-def gather_kernel(home: Rays, tree: Tree, copies: Copies, rays: Rays, progress: TopProgress, batch: DeviceRayList):
+def gather_copies_kernel(
+    home: Rays, tree: Tree, copies: Copies, rays: Rays, progress: TopProgress, batch: DeviceRayList
+):
     """By copy of the batch: the last one that came back puts together what all of them met. The ray is done, or its
     first copy goes on behind the treelet that was last. Of copies that come back in one step the one that is last in
     the batch does it, so that nothing depends on the order in which they are looked at.
@@ -283,7 +285,7 @@ def hand_back_kernel(copies: Copies, places: wp.array(dtype=int), count: wp.arra
 
 
 @wp.kernel(**KERNEL_OPTIONS)
-def reset_counts_kernel(counts: TraceCounts, width: int, slots: wp.array(dtype=int), count: wp.array(dtype=int)):
+def reset_copy_counts_kernel(counts: TraceCounts, width: int, slots: wp.array(dtype=int), count: wp.array(dtype=int)):
     """By new ray: nothing was counted of any copy."""
     i = wp.tid()
     if i < count[0]:
@@ -296,7 +298,7 @@ def reset_counts_kernel(counts: TraceCounts, width: int, slots: wp.array(dtype=i
 
 
 @wp.kernel(**KERNEL_OPTIONS)
-def add_counts_kernel(counts: TraceCounts, width: int, batch: DeviceRayList, total: TraceCounts):
+def add_copy_counts_kernel(counts: TraceCounts, width: int, batch: DeviceRayList, total: TraceCounts):
     """By ray of the batch: if it is done, what was counted of all of its copies goes to its slot."""
     i = wp.tid()
     if i >= batch.count[0]:
@@ -322,13 +324,13 @@ def add_counts_kernel(counts: TraceCounts, width: int, batch: DeviceRayList, tot
 
 
 COPY_KERNELS = (
-    begin_kernel,
-    spread_kernel,
-    send_kernel,
-    enter_kernel,
-    leave_kernel,
-    gather_kernel,
+    begin_copies_kernel,
+    spread_copies_kernel,
+    send_copies_kernel,
+    enter_copies_kernel,
+    leave_copies_kernel,
+    gather_copies_kernel,
     hand_back_kernel,
-    reset_counts_kernel,
-    add_counts_kernel,
+    reset_copy_counts_kernel,
+    add_copy_counts_kernel,
 )

@@ -18,15 +18,15 @@ from ..queues import BucketQueues, batch_capacity
 from .kernels import (
     COPY_KERNELS,
     Copies,
-    add_counts_kernel,
-    begin_kernel,
-    enter_kernel,
-    gather_kernel,
+    add_copy_counts_kernel,
+    begin_copies_kernel,
+    enter_copies_kernel,
+    gather_copies_kernel,
     hand_back_kernel,
-    leave_kernel,
-    reset_counts_kernel,
-    send_kernel,
-    spread_kernel,
+    leave_copies_kernel,
+    reset_copy_counts_kernel,
+    send_copies_kernel,
+    spread_copies_kernel,
 )
 
 
@@ -100,9 +100,9 @@ class RayCopies:
         for first in range(0, batch.bound, self._queues.capacity):
             part = self._queues.part(batch, first)
             listed = self._listed(0, part)
-            self._launch(begin_kernel, part.bound, self._home, self._copies, self.rays, listed, self._begun)
+            self._launch(begin_copies_kernel, part.bound, self._home, self._copies, self.rays, listed, self._begun)
             if self.counts is not None:
-                self._launch(reset_counts_kernel, part.bound, self.counts, self.width, part.slots, part.count)
+                self._launch(reset_copy_counts_kernel, part.bound, self.counts, self.width, part.slots, part.count)
             self._queues.put(RayList(self._begun, part.count, part.bound, self._begun), rule)
 
     def take(self, chosen: Sequence[int] | None, rule: QueueRule, bound: int) -> RayList:
@@ -138,13 +138,15 @@ class RayCopies:
         """The copies behind those of `batch`, the kth ones, which go on from where these came to a treelet."""
         places, locations = self._lists[k]
         listed = self._listed(k, batch)
-        self._launch(spread_kernel, batch.bound, self._copies, self.rays, self.progress, listed, places, locations)
+        self._launch(
+            spread_copies_kernel, batch.bound, self._copies, self.rays, self.progress, listed, places, locations
+        )
         return RayList(places, batch.count, batch.bound, locations)
 
     def send(self, batch: RayList, passes: int) -> None:
         """Behind the top level: first copies are those of `batch`, and `passes` others were spread."""
         inputs = self._home, self._copies, self.rays, self._listed(0, batch), self._locations, passes
-        self._launch(send_kernel, batch.bound, *inputs)
+        self._launch(send_copies_kernel, batch.bound, *inputs)
         self._add_counts(batch)
 
     def put_spread(self, passes: int, rule: QueueRule) -> None:
@@ -155,20 +157,20 @@ class RayCopies:
 
     def enter(self, batch: RayList) -> None:
         """Before treelets are visited."""
-        self._launch(enter_kernel, batch.bound, self._copies, self.rays, self._listed(0, batch))
+        self._launch(enter_copies_kernel, batch.bound, self._copies, self.rays, self._listed(0, batch))
 
     def leave(self, batch: RayList) -> None:
         """Behind treelets: the batch has first copies of rays that are to go on, or done; others are parked."""
         listed = self._listed(0, batch)
-        self._launch(leave_kernel, batch.bound, self._copies, self.rays, listed)
+        self._launch(leave_copies_kernel, batch.bound, self._copies, self.rays, listed)
         inputs = self._home, self._tree, self._copies, self.rays, self.progress, listed
-        self._launch(gather_kernel, batch.bound, *inputs)
+        self._launch(gather_copies_kernel, batch.bound, *inputs)
         self._add_counts(batch)
 
     def _add_counts(self, batch: RayList) -> None:
         if self.counts is not None:
             listed = self._listed(0, batch)
-            self._launch(add_counts_kernel, batch.bound, self.counts, self.width, listed, self._home_counts)
+            self._launch(add_copy_counts_kernel, batch.bound, self.counts, self.width, listed, self._home_counts)
 
     def _listed(self, k: int, batch: RayList) -> DeviceRayList:
         listed = self._batches[k]
