@@ -249,10 +249,10 @@ def figures(timings: list[Timing], ray_count: int) -> dict[str, Any]:
     traced = [timing.seconds - timing.sort_seconds for timing in timings]
     return {
         "ray_count": ray_count,
-        "mrays_per_s": round(ray_count / statistics.median(seconds) / 1e6, 3),
+        "mrays_per_s": round(ray_count / statistics.median(seconds) / 1e6, 6),
         "spread": round(spread(seconds), 3),
         "runs": len(timings),
-        "mrays_per_s_without_sort": round(ray_count / statistics.median(traced) / 1e6, 3),
+        "mrays_per_s_without_sort": round(ray_count / statistics.median(traced) / 1e6, 6),
         "sort_s": round(statistics.median(timing.sort_seconds for timing in timings), 6),
     }
 
