@@ -20,7 +20,7 @@ import warp as wp
 
 from ...native.build import native_source
 from ...rays import DeviceRayList, Rays
-from ..tree import DONE, TRAIL_LEVELS, TopProgress, Tree, Treelets
+from ..tree import DONE, NEW, TRAIL_LEVELS, TopProgress, Tree, Treelets
 from .counts import TraceCounts
 from .cuda import NODE_HEADERS, STACK_MESH, lane_headers, quantised_defines
 from .motion import motion_headers
@@ -33,6 +33,16 @@ def quantised_visit_source(options: VisitOptions) -> str:
     if options.takes_together:
         options = replace(options, refill=32)
     levels = 2 * STACK_MESH if options.instancing else STACK_MESH  # of trees that the stack is made for
+    loop, defines = ("traverse/quantised/loop.h",), {}
+    if options.in_turns:
+        cut = ("traverse/quantised/visit_cut.h",) if options.writes_queues else ()
+        loop = ("traverse/quantised/warp.h", *cut, "traverse/quantised/visit_together.h")
+        defines = {
+            "LANES": options.lanes,
+            "NEW": NEW,
+            "ELECTS": options.top_level.elects,
+            "SHORT_SEGMENTS": options.writes_queues,
+        }
     return native_source(
         *motion_headers(options),
         *NODE_HEADERS,
@@ -40,7 +50,7 @@ def quantised_visit_source(options: VisitOptions) -> str:
         *lane_headers(options),
         "traverse/quantised/visit_rays.h",
         "traverse/quantised/visit_steps.h",
-        "traverse/quantised/loop.h",
+        *loop,
         "traverse/quantised/visit_end.h",
         EVERY_TRIANGLE=False,
         DONE=DONE,
@@ -48,6 +58,7 @@ def quantised_visit_source(options: VisitOptions) -> str:
         TRAIL_LEVELS=TRAIL_LEVELS,
         **task_defines(options.task),
         **quantised_defines(options),
+        **defines,
     )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from raybatch_addon.core.bvh.node import Layout
-from raybatch_addon.core.bvh.traverse.options import TraceOptions, VisitOptions
+from raybatch_addon.core.bvh.traverse.options import TopLevel, TraceOptions, VisitOptions
 from raybatch_addon.core.bvh.traverse.task import VisitTask
 from raybatch_addon.core.bvh.tree import DONE, NEW, TRAIL_LEVELS, TopProgress, Treelets
 from raybatch_addon.core.bvh.treelets.tree import TreeletTree
@@ -26,13 +26,12 @@ def stage_of(
     task: VisitTask,
     instancing: bool,
     counters: bool = False,
-    interlocked: bool = False,
+    top_level: TopLevel = TopLevel.NAIVE,
     launch: Launch = Launch(),
     layout: Layout = Layout.QUANTISED,
 ):
-    return visit_stage(
-        layout, VisitOptions(task=task, instancing=instancing, counters=counters, interlocked=interlocked), launch
-    )
+    options = VisitOptions(task=task, instancing=instancing, counters=counters, top_level=top_level)
+    return visit_stage(layout, options, launch)
 
 
 @functools.cache
@@ -75,10 +74,10 @@ class Journey:
         any_first: int,
         counts=None,
         launch: Launch = Launch(),
-        interlocked: bool = False,
+        top_level: TopLevel = TopLevel.NAIVE,
     ):
         self.made, self.rays, self.any_first, self.counts = made, rays, any_first, counts
-        self.launch, self.interlocked = launch, interlocked
+        self.launch, self.top_level = launch, top_level
         self.device, count = rays.origin.device, rays.origin.shape[0]
         self.progress = TopProgress()
         words = -(-made.levels // TRAIL_LEVELS)
@@ -92,7 +91,7 @@ class Journey:
         where = uploaded(self.where[slots], self.device)
         batch = RayList(uploaded(slots, self.device), uploaded([len(slots)], self.device), len(slots), where)
         stage = stage_of(
-            task, self.made.instancing, self.counts is not None, self.interlocked, self.launch, self.made.layout
+            task, self.made.instancing, self.counts is not None, self.top_level, self.launch, self.made.layout
         )
         stage.launch(
             self.made.tree, treelets or self.made.treelets, self.rays, self.progress, batch, self.any_first, self.counts

@@ -122,7 +122,7 @@ class FusedSteps:
         # one each, so that the rule of a kept launch stays
         self._put = {step: RepeatedLaunches(queues.device) for step in (Step.TOP, Step.TREELET)}
         self._put_inputs = {
-            Step.TOP: (queues.blocks, rules.entry, rays),
+            Step.TOP: (queues.blocks, rules.top, rays),
             Step.TREELET: (queues.blocks, rules.exit, rays),
         }
 
