@@ -12,7 +12,8 @@ from .task import VisitTask
 class TopLevel(Enum):
     """How the rays of a warp go through what is above the treelets: the setting `top_level_traversal`.
 
-    Thesis, sections 3.3.2 and 6.1 (there TOPLEVEL). The layout BOXES has no warps: there all but INTERLOCKED are NAIVE.
+    Thesis, sections 3.3.2 and 6.1 (there TOPLEVEL); what it leaves open, and how that was chosen, is said in
+    `cuda_visit.py`. The layout BOXES has no warps: there all but INTERLOCKED are NAIVE.
     """
 
     NAIVE = "naive"
@@ -20,11 +21,11 @@ class TopLevel(Enum):
     INTERLOCKED = "interlocked"
     """Each ray for itself; new rays are taken only when all that are carried have stopped."""
     SHORT_SEGMENT = "short segment"
-    """All rays visit the same nodes, or wait, until one of them enters a treelet. Then those that met it wait to enter
-    it, all others wait behind it, and new rays are taken.
+    """All rays visit the same nodes, or wait, until some enter a treelet. Then these wait to enter it, all others wait
+    behind it, and new rays are taken.
     """
     LONG_HAUL = "long haul"
-    """All rays visit the same nodes, or wait; those that come to a treelet are replaced by new ones."""
+    """All rays visit the same nodes, or wait; those that enter a treelet are replaced at once by new ones."""
 
     @property
     def elects(self) -> bool:
@@ -103,6 +104,11 @@ class VisitOptions(TraversalOptions):
     def takes_together(self) -> bool:
         """Whether new rays are taken only together."""
         return self.top_level.takes_together and self.task is VisitTask.TOP
+
+    @property
+    def replaces_at_once(self) -> bool:
+        """QUANTISED: whether a lane takes a new ray as soon as its own has stopped."""
+        return self.top_level is TopLevel.LONG_HAUL and self.task is VisitTask.TOP
 
     @property
     def in_turns(self) -> bool:

@@ -34,22 +34,22 @@ auto skip = [&](int met) {
 };
 // `visit`, which at the last level of a trail that was cut goes on with the child that the trail leads to
 auto visit_on = [&]() {
-    if (!(state & DESCENDING)) {
-        visit();
-        return;
+    bool ends = false;
+    unsigned bit = 0u;
+    if (state & DESCENDING) {
+        const int level = (int)((state & LEVEL) / ONE_LEVEL), j = level % TRAIL_LEVELS;
+        const unsigned word = *wp::address(progress.trail, level / TRAIL_LEVELS, slot);
+        bit = (word >> (5 * j)) & 31u;
+        ends = word >= CUT && highest_bit(word ^ CUT) == 5u * (unsigned)(j + 1);
+        if (ends) {
+            state ^= DESCENDING;
+            treelet = -1;
+        }
     }
-    const int level = (int)((state & LEVEL) / ONE_LEVEL), j = level % TRAIL_LEVELS;
-    const unsigned word = *wp::address(progress.trail, level / TRAIL_LEVELS, slot);
-    const unsigned bit = (word >> (5 * j)) & 31u, kept = (2u << bit) - 1u;
-    if (word < CUT || highest_bit(word ^ CUT) != 5u * (j + 1)) {
-        visit();
-        return;
-    }
-    const unsigned at = node;
-    arrive();
-    node = at;
     visit();
+    if (!ends) return;
     // children before it are done; entries come before nodes, and triangles were tested
+    const unsigned kept = (2u << bit) - 1u;
     if (bit < 24u) {
         leaf.y &= kept;
     } else {

@@ -1,20 +1,20 @@
 // The loop of a warp whose rays go through the top level together: all lanes that visit a node in a turn visit the same.
 //
 // Each ray keeps the order of its own octant, and the place that it has come to there: nothing that another ray does
-// moves it, so that it visits what it would visit alone. What is common is the turn. The warp elects one of the nodes
-// that its rays want to visit next: the one furthest down, of those the one that most rays want. So it goes through
-// what any of its rays wants depth first, no branch that none wants, and where ways parted rays meet again behind the
-// branch. A ray that wants another node sulks: its lane waits. Rays on the way down their trails go first, those that
-// have come least far before the others: they catch up.
+// moves it, so that it visits what it would visit alone. Common is the turn. The warp elects one of the nodes that its
+// rays want to visit next: the one furthest down, of those the one that most rays want. So it goes depth first through
+// what any of its rays wants, into no branch that none wants, and rays that parted meet again behind the branch. A ray
+// that wants another node sulks: its lane waits.
 //
-// The loop ends. Behind the taking of rays every ray in a lane has a node to visit (`to_node`), unless it is through. So
-// in each turn either all lanes are idle, and rays are taken or the list is at its end, or a node is elected, and at
-// least one ray visits it and comes further in its own order, of which it visits each node once. With SHORT_SEGMENT
-// a segment ends where a ray enters a treelet, or where all rays are done: of the rays that a warp takes one at least
-// does not come back to an exit queue as it was, whatever becomes of the others.
+// The loop ends. When rays have been taken, each has a node to visit, or is through (`to_node`). So in each turn all
+// lanes are idle, and rays are taken or the list is at its end, or a node is elected, and at least one ray visits it
+// and comes further in its own order, in which each node comes once. With SHORT_SEGMENTS what is put back comes further,
+// too, over all launches: a segment ends only where a ray enters a treelet, or where all of them are done, so that of
+// the rays that a warp takes at least one does not wait in an exit queue again before it has visited a treelet.
 
 const int ray_count = listed.count.data[0];
 bool more = true;  // the list has rays that no lane has taken
+// triangles are tested in the turn in which they are met, so that none waits
 auto is_busy = [&]() -> bool { return node != NONE; };
 // on to the next node, unless the ray is through
 auto to_node = [&]() {
@@ -62,8 +62,7 @@ for (;;) {
     find_peers();
     each_lane([&]() {
         const unsigned level = (state & LEVEL) / ONE_LEVEL;
-        const unsigned rank = state & DESCENDING ? 511u - level : level;
-        key = where ? rank << 11 | (unsigned)bit_count(peers) << 5 | lowest_bit(peers) : 0u;
+        key = where ? level << 11 | (unsigned)bit_count(peers) << 5 | lowest_bit(peers) : 0u;
     });
     const unsigned elected = largest([&]() { return key; });
     auto may_step = [&]() -> bool { return key != 0u && (key == elected || !ELECTS); };
