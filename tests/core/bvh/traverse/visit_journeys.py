@@ -141,7 +141,8 @@ class Journey:
                 again = self.where[going_on] == before  # another instance, or a treelet that was passed
                 assert self.made.instancing or self.top_level is TopLevel.SHORT_SEGMENT or not again.any()
                 # of the rays that a warp takes at least one comes to the end of its way through the top level
-                assert self.behind[going_on].sum() <= len(going_on) - -(-len(going_on) // self.lanes)
+                lanes = 32 if self.device.is_cuda else self.lanes
+                assert self.behind[going_on].sum() <= len(going_on) - -(-len(going_on) // lanes)
         raise AssertionError("rays never end")
 
     def go_on(self, rng: np.random.Generator, there: float, nodes_there: float) -> None:
