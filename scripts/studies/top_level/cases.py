@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from benchmarking.rays import CapturedRays, capture_rays, parse_ray_types
 
 from raybatch_addon.core.bvh.build.scene_tree import BuiltTree
-from raybatch_addon.core.bvh.traverse.options import TopLevel
+from raybatch_addon.core.bvh.traverse.options import TopLevelTraversal
 from studies.hardware.cases import traced_scene
 from studies.hardware.record import quantised_tree
 from studies.study import Case, Options, Row
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 SCENES = ("sponza", "san_miguel")
 KINDS = ("primary", "bounce1", "bounce4")
 SELECTIONS = ("ALL", "MOST_FULL")
-WAYS = tuple(TopLevel.__members__)
+WAYS = tuple(TopLevelTraversal.__members__)
 RAYS = (2_000, 60_000)  # of each kind: quick, full
 TREELET_BYTES = 64 << 10
 
@@ -43,7 +43,7 @@ def measure(case: Case, turn: int, bench: Bench) -> Row:
     """Counts of a case."""
     what, options = case.what, bench.options
     built, rays = prepared(what["scene"], options, options.pick(*RAYS))
-    way = TopLevel[what["way"]]
+    way = TopLevelTraversal[what["way"]]
     return asdict(traced(built, rays[what["kind"]], way, what["selection"], TREELET_BYTES))
 
 

@@ -12,7 +12,7 @@ from benchmarking.tracers.stages import slot_list, upload_rays
 from raybatch_addon.core.bvh.build.scene_tree import BuiltTree
 from raybatch_addon.core.bvh.node import Layout
 from raybatch_addon.core.bvh.traverse.counts import TraceCounts, counts_of
-from raybatch_addon.core.bvh.traverse.options import TopLevel, TraceOptions, VisitOptions
+from raybatch_addon.core.bvh.traverse.options import TopLevelTraversal, TraceOptions, VisitOptions
 from raybatch_addon.core.bvh.traverse.task import VisitTask
 from raybatch_addon.core.bvh.tree import TopProgress, Tree, Treelets
 from raybatch_addon.core.bvh.treelets.cut import CutRule
@@ -44,7 +44,7 @@ class Counts:
 class CountedTop:
     """The task TOP of warps of `LANES` lanes, and what they did in all launches; a `VisitStage`."""
 
-    def __init__(self, top_level: TopLevel, ray_count: int):
+    def __init__(self, top_level: TopLevelTraversal, ray_count: int):
         options = VisitOptions(task=VisitTask.TOP, instancing=False, counters=True, top_level=top_level, lanes=LANES)
         self._stage = visit_stage(Layout.QUANTISED, options)
         self.kernels, self.writes_queues = self._stage.kernels, self._stage.writes_queues
@@ -71,7 +71,9 @@ class CountedTop:
         self._stage.launch(tree, treelets, rays, progress, batch, any_first, self.counts)
 
 
-def traced(built: BuiltTree, rays: CapturedRays, top_level: TopLevel, selection: str, treelet_bytes: int) -> Counts:
+def traced(
+    built: BuiltTree, rays: CapturedRays, top_level: TopLevelTraversal, selection: str, treelet_bytes: int
+) -> Counts:
     """All `rays` wait at the treelets of `built`, until they are done; their hits must be those of the whole tree."""
     device, count = wp.get_device("cpu"), len(rays)
     cut = cut_scene_tree(built, CutRule(bytes_max=treelet_bytes), device)

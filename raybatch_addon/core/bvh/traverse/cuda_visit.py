@@ -10,7 +10,7 @@ far.
 
 A treelet's root is always there. Rays visit it before they stop, and do not stop if none of its children is met.
 
-The top level has four ways (`TopLevel`). NAIVE and INTERLOCKED let each lane go its own way. SHORT_SEGMENT and
+The top level has four ways (`TopLevelTraversal`). NAIVE and INTERLOCKED let each lane go its own way. SHORT_SEGMENT and
 LONG_HAUL (section 6.1 of the thesis) make all lanes of a warp that visit a node in a turn visit the same one. What the
 thesis leaves open is chosen so:
 
@@ -24,7 +24,7 @@ thesis leaves open is chosen so:
 - A bucket is met where a ray enters: one whose box is met, but none of whose root's children, is passed.
 - SHORT_SEGMENT: when a ray enters a treelet, the segment of the whole warp ends. Others of its rays wait in the exit
   queue of that treelet, which they need not have come to: their trail ends where they are, with a mark
-  (`visit_cut.h`), and they go on from there. To move them on to the treelet itself, as the thesis has it, would pass
+  (`together/cut.h`), and they go on from there. To move them on to the treelet itself, as the thesis has it, would pass
   over what comes before it in their own order. Rays on the way down a trail keep that trail.
 - LONG_HAUL: a ray that enters a treelet is replaced at once, by the next of the batch. Batches have the rays of a queue
   side by side, so that the next one left the same treelet, or the one behind it. It starts at the root, as any, and the
@@ -55,8 +55,8 @@ def quantised_visit_source(options: VisitOptions) -> str:
     levels = 2 * STACK_MESH if options.instancing else STACK_MESH  # of trees that the stack is made for
     loop, defines = ("traverse/quantised/loop.h",), {}
     if options.in_turns:
-        cut = ("traverse/quantised/visit_cut.h",) if options.writes_queues else ()
-        loop = ("traverse/quantised/warp.h", *cut, "traverse/quantised/visit_together.h")
+        cut = ("traverse/quantised/together/cut.h",) if options.writes_queues else ()
+        loop = ("traverse/quantised/together/warp.h", *cut, "traverse/quantised/together/loop.h")
         defines = {
             "LANES": options.lanes,
             "NEW": NEW,

@@ -9,7 +9,7 @@ from typing import Self
 from .task import VisitTask
 
 
-class TopLevel(Enum):
+class TopLevelTraversal(Enum):
     """How the rays of a warp go through what is above the treelets: the setting `top_level_traversal`.
 
     Thesis, sections 3.3.2 and 6.1 (there TOPLEVEL); what it leaves open, and how that was chosen, is said in
@@ -30,12 +30,12 @@ class TopLevel(Enum):
     @property
     def elects(self) -> bool:
         """Whether the rays of a warp visit the same nodes."""
-        return self in (TopLevel.SHORT_SEGMENT, TopLevel.LONG_HAUL)
+        return self in (TopLevelTraversal.SHORT_SEGMENT, TopLevelTraversal.LONG_HAUL)
 
     @property
     def takes_together(self) -> bool:
         """Whether new rays are taken only when all that are carried have stopped."""
-        return self in (TopLevel.INTERLOCKED, TopLevel.SHORT_SEGMENT)
+        return self in (TopLevelTraversal.INTERLOCKED, TopLevelTraversal.SHORT_SEGMENT)
 
 
 INTERLEAVE = 16
@@ -86,7 +86,7 @@ class VisitOptions(TraversalOptions):
     """Options that a task on cut trees is compiled for."""
 
     task: VisitTask
-    top_level: TopLevel = TopLevel.NAIVE  # of TOP alone
+    top_level: TopLevelTraversal = TopLevelTraversal.NAIVE  # of TOP alone
     lanes: int = 1  # QUANTISED, TOP, on a CPU: lanes that take turns as those of a CUDA warp do, 1..32
 
     def __post_init__(self) -> None:
@@ -98,7 +98,7 @@ class VisitOptions(TraversalOptions):
 
     def without_warps(self) -> VisitOptions:
         """The same for the layout BOXES, where no lanes vote."""
-        return replace(self, top_level=TopLevel.NAIVE, lanes=1) if self.in_turns else self
+        return replace(self, top_level=TopLevelTraversal.NAIVE, lanes=1) if self.in_turns else self
 
     @property
     def takes_together(self) -> bool:
@@ -108,11 +108,11 @@ class VisitOptions(TraversalOptions):
     @property
     def replaces_at_once(self) -> bool:
         """QUANTISED: whether a lane takes a new ray as soon as its own has stopped."""
-        return self.top_level is TopLevel.LONG_HAUL and self.task is VisitTask.TOP
+        return self.top_level is TopLevelTraversal.LONG_HAUL and self.task is VisitTask.TOP
 
     @property
     def in_turns(self) -> bool:
-        """QUANTISED: whether the lanes of a warp vote in each turn (`traverse/quantised/visit_together.h`)."""
+        """QUANTISED: whether the lanes of a warp vote in each turn (`traverse/quantised/together/loop.h`)."""
         return self.task is VisitTask.TOP and (self.top_level.elects or self.lanes > 1)
 
     @property
@@ -120,4 +120,4 @@ class VisitOptions(TraversalOptions):
         """QUANTISED: whether the task writes queues in place of treelets: of treelet k 2 k, where rays wait to enter,
         and 2 k + 1, where they wait to go on behind it.
         """
-        return self.task is VisitTask.TOP and self.top_level is TopLevel.SHORT_SEGMENT
+        return self.task is VisitTask.TOP and self.top_level is TopLevelTraversal.SHORT_SEGMENT

@@ -12,7 +12,7 @@ import warp as wp
 
 from raybatch_addon.core.bvh.traverse.counts import TraceCounts
 from raybatch_addon.core.bvh.traverse.cuda_visit import quantised_visit_source
-from raybatch_addon.core.bvh.traverse.options import TopLevel, VisitOptions
+from raybatch_addon.core.bvh.traverse.options import TopLevelTraversal, VisitOptions
 from raybatch_addon.core.bvh.traverse.task import VisitTask
 from raybatch_addon.core.bvh.tree import DONE, NEW
 from raybatch_addon.core.bvh.treelets.cut import CutRule
@@ -30,7 +30,7 @@ from tests.support.wide_trees import soup
 on_a_cpu = pytest.mark.skipif(DEVICE != "cpu", reason="lanes that take turns are of CPUs")
 
 COUNTS = ("node_steps", "box_tests", "triangle_tests", "treelet_visits", "queued")
-SHORT, LONG, NAIVE = TopLevel.SHORT_SEGMENT, TopLevel.LONG_HAUL, TopLevel.NAIVE
+SHORT, LONG, NAIVE = TopLevelTraversal.SHORT_SEGMENT, TopLevelTraversal.LONG_HAUL, TopLevelTraversal.NAIVE
 # On a CPU kernels are few: with instancing one has as many lanes as a warp, and the other few; without vice versa
 LANES = {(SHORT, True): 5, (LONG, True): 32, (SHORT, False): 32, (LONG, False): 5} if DEVICE == "cpu" else {}
 
@@ -44,7 +44,7 @@ def counted(count: int) -> TraceCounts:
 
 
 @functools.cache
-def travelled(name: str, rule: str, top_level: TopLevel) -> tuple[dict[str, np.ndarray], int]:
+def travelled(name: str, rule: str, top_level: TopLevelTraversal) -> tuple[dict[str, np.ndarray], int]:
     """Counts of rays that were traced as they should be, and how often one passed a treelet that others entered."""
     counts = counted(len(case(name, DEVICE).origin))
     lanes = LANES.get((top_level, cut(name, rule, DEVICE).instancing), 1)
@@ -86,7 +86,7 @@ def clouds() -> Case:
     return of_objects("cpu", [(Mesh("clouds", positions, faces), [scenes.IDENTITY])], False, rays)
 
 
-def clouds_visited(top_level: TopLevel, rays: np.ndarray) -> tuple[int, int, int, int]:
+def clouds_visited(top_level: TopLevelTraversal, rays: np.ndarray) -> tuple[int, int, int, int]:
     """With a treelet for each cloud: launches of TOP until `rays` are all through, times that a ray passed a treelet,
     nodes that rays visited above treelets, and nodes that the warp read for them.
     """
@@ -146,16 +146,16 @@ def test_sources():
     texts = {
         (task, top_level): quantised_visit_source(VisitOptions(task=task, instancing=True, top_level=top_level))
         for task in VisitTask
-        for top_level in TopLevel
+        for top_level in TopLevelTraversal
     }
     for (task, top_level), text in texts.items():
         together = task is VisitTask.TOP and top_level in (SHORT, LONG)
-        assert ("visit_together.h" in text) == ("find_peers" in text) == together
+        assert ("together/loop.h" in text) == ("find_peers" in text) == together
         assert ("quantised/loop.h" in text) != together
-        assert ("visit_cut.h" in text) == (task is VisitTask.TOP and top_level is SHORT)
+        assert ("together/cut.h" in text) == (task is VisitTask.TOP and top_level is SHORT)
         if task is not VisitTask.TOP:
             assert text == texts[task, NAIVE]
-    assert len({texts[VisitTask.TOP, each] for each in TopLevel}) == 4
+    assert len({texts[VisitTask.TOP, each] for each in TopLevelTraversal}) == 4
     with pytest.raises(ValueError, match="lanes"):
         VisitOptions(task=VisitTask.TOP, instancing=True, lanes=33)
 

@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from raybatch_addon.core.bvh.node import Layout
-from raybatch_addon.core.bvh.traverse.options import TopLevel, TraceOptions, VisitOptions
+from raybatch_addon.core.bvh.traverse.options import TopLevelTraversal, TraceOptions, VisitOptions
 from raybatch_addon.core.bvh.traverse.task import VisitTask
 from raybatch_addon.core.bvh.tree import DONE, NEW, TRAIL_LEVELS, TopProgress, Treelets
 from raybatch_addon.core.bvh.treelets.tree import TreeletTree
@@ -26,7 +26,7 @@ def stage_of(
     task: VisitTask,
     instancing: bool,
     counters: bool = False,
-    top_level: TopLevel = TopLevel.NAIVE,
+    top_level: TopLevelTraversal = TopLevelTraversal.NAIVE,
     launch: Launch = Launch(),
     layout: Layout = Layout.QUANTISED,
     lanes: int = 1,
@@ -75,7 +75,7 @@ class Journey:
         any_first: int,
         counts=None,
         launch: Launch = Launch(),
-        top_level: TopLevel = TopLevel.NAIVE,
+        top_level: TopLevelTraversal = TopLevelTraversal.NAIVE,
         lanes: int = 1,
     ):
         self.made, self.rays, self.any_first, self.counts = made, rays, any_first, counts
@@ -98,7 +98,7 @@ class Journey:
         top = (
             (self.top_level, self.launch, self.made.layout, self.lanes)
             if task is VisitTask.TOP
-            else (TopLevel.NAIVE, self.launch, self.made.layout)
+            else (TopLevelTraversal.NAIVE, self.launch, self.made.layout)
         )
         stage = stage_of(task, self.made.instancing, self.counts is not None, *top)
         stage.launch(
@@ -139,7 +139,7 @@ class Journey:
                 self.run(VisitTask.TOP, rng.permutation(going_on))
                 assert (self.where[going_on] != NEW).all()
                 again = self.where[going_on] == before  # another instance, or a treelet that was passed
-                assert self.made.instancing or self.top_level is TopLevel.SHORT_SEGMENT or not again.any()
+                assert self.made.instancing or self.top_level is TopLevelTraversal.SHORT_SEGMENT or not again.any()
                 # of the rays that a warp takes at least one comes to the end of its way through the top level
                 lanes = 32 if self.device.is_cuda else self.lanes
                 assert self.behind[going_on].sum() <= len(going_on) - -(-len(going_on) // lanes)

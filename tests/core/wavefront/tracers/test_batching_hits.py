@@ -9,7 +9,7 @@ import warp as wp
 from raybatch_addon.core.bvh.build.scene_tree import build_scene_tree
 from raybatch_addon.core.bvh.node import Layout
 from raybatch_addon.core.bvh.traverse.counts import TraceCounts
-from raybatch_addon.core.bvh.traverse.options import TopLevel, VisitOptions
+from raybatch_addon.core.bvh.traverse.options import TopLevelTraversal, VisitOptions
 from raybatch_addon.core.bvh.traverse.task import VisitTask
 from raybatch_addon.core.bvh.treelets.cut import CutRule
 from raybatch_addon.core.bvh.treelets.tree import cut_scene_tree
@@ -214,7 +214,7 @@ def test_settings_change_no_hit(settings, layout, storage):
 
 
 @functools.cache
-def stages_together(name: str, top_level: TopLevel) -> dict[VisitTask, VisitStage]:
+def stages_together(name: str, top_level: TopLevelTraversal) -> dict[VisitTask, VisitStage]:
     """With counters, for warps of 8 lanes above treelets."""
     shared = {"instancing": name != "soup", "counters": True, "curves": name in SCENES, "motion": name == "living"}
     options = [VisitOptions(task=task, top_level=top_level, lanes=8, **shared) for task in VisitTask]
@@ -250,18 +250,18 @@ def test_rays_of_a_warp_that_go_together(name, selection, settings):
     common = {"counters": True, "bucket_selection": selection, **settings}
     short, alone = (
         compare(name, Layout.QUANTISED, shadow_kind, PARALLEL[-1], stages=stages_together(name, each), **common)
-        for each in (TopLevel.SHORT_SEGMENT, TopLevel.NAIVE)
+        for each in (TopLevelTraversal.SHORT_SEGMENT, TopLevelTraversal.NAIVE)
     )
     assert short.rays_queued > alone.rays_queued and short.treelet_visits == alone.treelet_visits
 
 
 def test_settings_choose_how_rays_go_through_the_top_level():
-    for setting, each in TopLevel.__members__.items():
+    for setting, each in TopLevelTraversal.__members__.items():
         settings = RenderSettings(top_level_traversal=setting)
         for layout in LAYOUTS:
             stages = visit_stages(layout, True, False, settings)
             is_quantised = layout is Layout.QUANTISED
-            assert stages[VisitTask.TOP].writes_queues == (is_quantised and each is TopLevel.SHORT_SEGMENT)
+            assert stages[VisitTask.TOP].writes_queues == (is_quantised and each is TopLevelTraversal.SHORT_SEGMENT)
             assert not stages[VisitTask.TREELET].writes_queues and not stages[VisitTask.GO_ON].writes_queues
             if is_quantised:
                 options = VisitOptions(task=VisitTask.TOP, instancing=True, top_level=each)

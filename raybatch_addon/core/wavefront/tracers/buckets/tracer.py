@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 import warp as wp
 
 from ....bvh.node import Layout
-from ....bvh.traverse.options import TopLevel, VisitOptions
+from ....bvh.traverse.options import TopLevelTraversal, VisitOptions
 from ....bvh.traverse.task import VisitTask
 from ....bvh.treelets.tree import TreeletTree
 from ....measure.batching import BatchingTotals
@@ -65,7 +65,7 @@ def visit_stages(
     moving: bool = False,
 ) -> dict[VisitTask, VisitStage]:
     """The stages that rays go through."""
-    top_level = TopLevel[settings.top_level_traversal]
+    top_level = TopLevelTraversal[settings.top_level_traversal]
     found = {"instancing": instancing, "counters": counters, "curves": curves, "motion": moving}
     return {
         task: visit_stage(layout, VisitOptions(task=task, top_level=top_level, **found), Launch.of(settings))

@@ -9,7 +9,7 @@ from studies.top_level.cases import KINDS, SCENES, SELECTIONS, WAYS
 from studies.top_level.warps import traced
 
 from raybatch_addon.core.bvh.node import Layout
-from raybatch_addon.core.bvh.traverse.options import TopLevel
+from raybatch_addon.core.bvh.traverse.options import TopLevelTraversal
 from raybatch_addon.core.scene.description import Mesh, Visibility
 from tests.core.bvh.traverse.visit_scenes import of_objects, random_rays
 from tests.support import scenes
@@ -33,7 +33,9 @@ def rays_of(kind: str, count: int) -> CapturedRays:
 def test_what_warps_read_is_counted(built, kind):
     """Lanes that go each their own way take few turns, and read more nodes in each; those that go together read one."""
     rays = rays_of(kind, 256)
-    naive, short = (traced(built, rays, each, "ALL", 2048) for each in (TopLevel.NAIVE, TopLevel.SHORT_SEGMENT))
+    naive, short = (
+        traced(built, rays, each, "ALL", 2048) for each in (TopLevelTraversal.NAIVE, TopLevelTraversal.SHORT_SEGMENT)
+    )
     assert naive.rays == short.rays == 256 and naive.treelets == short.treelets > 8
     assert naive.treelet_visits == short.treelet_visits > 100
     assert naive.turns < naive.fetches < naive.visits
