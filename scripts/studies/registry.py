@@ -17,6 +17,7 @@ from studies import (
     many_workers,
     sequences,
     thesis,
+    top_level,
 )
 from studies.images import environment, image_budgets, textures
 from studies.motion import trees_over_time
@@ -38,6 +39,7 @@ STUDIES: dict[str, Study] = {
         budgets.STUDY,
         trees_over_time.STUDY,
         hardware.STUDY,
+        top_level.STUDY,
         cycles.STUDY,
     )
 }

@@ -242,6 +242,17 @@ class SchedulerSettings:
         choices=(
             ("NAIVE", "Naive", "A lane takes the next ray as soon as its own is through"),
             ("INTERLOCKED", "Interlocked", "Lanes take new rays together, when all of their rays are through"),
+            (
+                "SHORT_SEGMENT",
+                "Short Segment",
+                "All rays of a warp visit the same nodes until one enters a treelet: there all of them wait, those "
+                "that do not enter behind it",
+            ),
+            (
+                "LONG_HAUL",
+                "Long Haul",
+                "All rays of a warp visit the same nodes, and those that come to a treelet make room for others",
+            ),
         ),
     )
 

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 import warp as wp
 
 from ....bvh.node import Layout
-from ....bvh.traverse.options import VisitOptions
+from ....bvh.traverse.options import TopLevelTraversal, VisitOptions
 from ....bvh.traverse.task import VisitTask
 from ....bvh.treelets.tree import TreeletTree
 from ....measure.batching import BatchingTotals
@@ -65,10 +65,10 @@ def visit_stages(
     moving: bool = False,
 ) -> dict[VisitTask, VisitStage]:
     """The stages that rays go through."""
-    interlocked = settings.top_level_traversal == "INTERLOCKED"
+    top_level = TopLevelTraversal[settings.top_level_traversal]
     found = {"instancing": instancing, "counters": counters, "curves": curves, "motion": moving}
     return {
-        task: visit_stage(layout, VisitOptions(task=task, interlocked=interlocked, **found), Launch.of(settings))
+        task: visit_stage(layout, VisitOptions(task=task, top_level=top_level, **found), Launch.of(settings))
         for task in VisitTask
     }
 
@@ -151,7 +151,6 @@ class BatchingTracer:
         """
         device, counts, debug = worker.device, worker.counts, settings.is_on("debug_checks")
         self._timer, self._numbers = worker.timer, QueueNumbers(treelet_tree.treelet_count)
-        self._rules = QueueRules(self._numbers)
         self._selection = selection_of(settings, device.is_cuda)
         storage = STORAGES[settings.ray_storage]
         queue_total, slot_count = self._numbers.queue_total, worker.slot_count
@@ -183,6 +182,7 @@ class BatchingTracer:
         is_given = stages is not None  # and so are their kernels, which are loaded already
         if stages is None:
             stages = visit_stages(treelet_tree.layout, instancing, counts is not None, settings, curves, moving)
+        self._rules = QueueRules(self._numbers, stages[VisitTask.TOP].writes_queues)
         for stage in stages.values():
             stage.prepare(device)
         served = treelet_tree, stages, self._queues, self._storage, self._numbers
