@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Container
 from typing import Any
 
 from ..core.settings.settings import SETTINGS
@@ -9,8 +10,18 @@ from ..core.settings.settings import SETTINGS
 _NOT_BATCHED = ("batching", {"OFF", "REFERENCE"})
 _NOT_DENOISED = ("denoise", {"OFF"})
 _NOT_ADAPTIVE = ("adaptive_sampling", {"OFF"})
-# Choices of other settings that leave a setting nothing to say
-_SILENCED_BY: dict[str, tuple[tuple[str, set[str]], ...]] = {
+
+
+class _Given:
+    """Numbers of bytes but 0, also as the text that properties keep."""
+
+    def __contains__(self, value: object) -> bool:
+        return str(value) != "0"
+
+
+_CACHED, _IN_TIERS = ("treelet_cache", _Given()), ("treelet_tier_bytes", _Given())
+# Values of other settings that leave a setting nothing to say
+_SILENCED_BY: dict[str, tuple[tuple[str, Container], ...]] = {
     "noise_threshold": (_NOT_ADAPTIVE,),
     "adaptive_samples_min": (_NOT_ADAPTIVE,),
     "mis": (("nee", {"OFF"}),),
@@ -26,12 +37,14 @@ _SILENCED_BY: dict[str, tuple[tuple[str, set[str]], ...]] = {
         ("bucket_selection", {"AUTO", "MOST_FULL", "NEXT", "RANDOM", "ALL", "BALANCED"}),
     ),
     "bucket_wait_max": (_NOT_BATCHED,),
+    "queues_per_ray": (_NOT_BATCHED, _CACHED, _IN_TIERS, ("top_level_traversal", {"SHORT_SEGMENT"})),
     "treelet_cache": (_NOT_BATCHED,),
     "treelet_prefetch": (_NOT_BATCHED,),
     "top_level_traversal": (_NOT_BATCHED,),
     "geometry_budget": (_NOT_BATCHED,),
     "geometry_store": (_NOT_BATCHED,),
     **{info.name: (_NOT_BATCHED,) for info in SETTINGS.values() if info.group in ("QUEUES", "TREELETS")},
+    "treelet_tier_bytes": (_NOT_BATCHED, _CACHED),
 }
 _OF_CUDA = {"top_level_traversal", "register_cap", "block_size"}
 
@@ -44,7 +57,12 @@ def why_unheard(settings: Any, name: str) -> str:
     """
     for ruling, values in _SILENCED_BY.get(name, ()):
         if getattr(settings, ruling) in values:
-            return f"Unused with {setting_text(ruling, getattr(settings, ruling))}"
+            is_given = isinstance(values, _Given)
+            return (
+                f"Unused with {SETTINGS[ruling].label if is_given else setting_text(ruling, getattr(settings, ruling))}"
+            )
+    if name == "ray_storage" and settings.queues_per_ray > 1 and not why_unheard(settings, "queues_per_ray"):
+        return f"Unused with {setting_text('queues_per_ray', settings.queues_per_ray)}"
     if name == "error_estimate":
         ruling = implies_error_estimate(settings)
         return f"Implied by {SETTINGS[ruling].label}" if ruling else ""

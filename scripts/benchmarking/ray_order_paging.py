@@ -25,7 +25,8 @@ from raybatch_addon.core.measure.batching import BatchingTotals
 from raybatch_addon.core.rays import NO_ANY_HIT, RayKind, RayList
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.rays import allocate_progress, trail_words
-from raybatch_addon.core.wavefront.tracers.pages.tracer import PATIENCE, go_on_stage
+from raybatch_addon.core.wavefront.tracers.pages.stages import page_stage
+from raybatch_addon.core.wavefront.tracers.pages.tracer import PATIENCE
 from raybatch_addon.core.wavefront.tracers.visit import VisitStage
 from raybatch_addon.core.wavefront.tracers.worker_rays import WorkerRays
 
@@ -52,7 +53,7 @@ class RayOrderPager:
         self._paged, self._residency, self._rays, self._counts = paged, residency, rays, counts
         self._timer = worker.timer
         self._any_first = worker.path_count if worker.shadow_kind == RayKind.OCCLUSION else NO_ANY_HIT
-        self._stage = stage or go_on_stage(paged.layout, counts is not None, settings)
+        self._stage = stage or page_stage(paged.layout, counts is not None, settings)
         self._window = window
         self._progress = allocate_progress(rays.origin.size, trail_words(paged.levels), True, self._device)
         self._view = residency.view()

@@ -83,11 +83,13 @@ def drawn_schedule(draws: Draws, sizes: DrawnSizes) -> dict[str, Any]:
     # where the host is asked in each step, neither a GPU's loop nor a CPU's fused steps are tried
     drawn["treelet_cache"] = draws.pick((0, 0, 0, _any_size(draws, 1, sizes.tree_bytes)))
     drawn["treelet_prefetch"] = draws.pick(("OFF", "OFF", "OFF", "ON"))
+    drawn["queues_per_ray"] = draws.pick((1, 1, 2, draws.whole(2, 8)))
     drawn["queue_size"] = size = _zero_or_any(draws, QUEUE_MOST)
     drawn["queue_count"] = _zero_or_any(draws, min(QUEUE_MOST, PLACES_MOST // max(size, 1)))
     drawn["treelet_size"] = nodes = _zero_or_any(draws, max(sizes.triangles, 2))
     drawn["treelet_size_min"] = draws.pick((1, 1, _any_size(draws, 1, nodes or max(sizes.triangles, 2))))
     drawn["treelet_bytes"] = _zero_or_any(draws, sizes.tree_bytes)
+    drawn["treelet_tier_bytes"] = draws.pick((0, 0, 0, _any_size(draws, 1, sizes.tree_bytes)))
     drawn["top_level_depth_max"] = draws.pick((SETTINGS["top_level_depth_max"].default, _any_size(draws, 1, 64)))
     drawn["warp_count"] = draws.whole(0, 1) if drawn["single_lane"] == "ON" else _zero_or_any(draws, WARPS_MOST)
     drawn["register_cap"], drawn["block_size"] = draws.pick(REGISTERS_AND_BLOCKS)

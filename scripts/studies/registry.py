@@ -15,6 +15,7 @@ from studies import (
     light_sampling,
     many_lights,
     many_workers,
+    schedulers,
     sequences,
     thesis,
     top_level,
@@ -40,6 +41,7 @@ STUDIES: dict[str, Study] = {
         trees_over_time.STUDY,
         hardware.STUDY,
         top_level.STUDY,
+        schedulers.STUDY,
         cycles.STUDY,
     )
 }

@@ -209,6 +209,17 @@ class SchedulerSettings:
         off=0,
         start=64,
     )
+    queues_per_ray: int = setting(
+        1,
+        "Queues a Ray",
+        "Treelets at which a ray waits at a time, at most: the next ones that it meets. With 1 it goes on behind one "
+        "before it waits at another",
+        group="SCHEDULER",
+        effect="schedule",
+        unit="treelets",
+        minimum=1,
+        maximum=8,
+    )
     treelet_cache: int = setting(
         0,
         "Cached",
@@ -353,6 +364,20 @@ class TreeletSettings:
         maximum=INT_MAX,
         auto=0,
         start=2**20,
+    )
+    treelet_tier_bytes: int = setting(
+        0,
+        "Large Treelets",
+        "Most memory of a large treelet, such as the size of a larger cache: rays wait there, and then at the treelets "
+        "in it; with {rest} treelets are in no others. Pages of geometry beyond memory are large treelets, whatever "
+        "their size",
+        group="TREELETS",
+        effect="schedule",
+        unit=BYTES,
+        minimum=0,
+        maximum=INT_MAX,
+        off=0,
+        start=2**25,
     )
     top_level_depth_max: int = setting(
         64,

@@ -182,17 +182,21 @@ class WaitingTracer(MeasuredTracer):
             return self._off.hits()
         return hits_of(self._rays, self._any_hit)
 
-    def work(self) -> dict[str, Any]:
-        if self.plan.method is Method.UNBATCHED:
-            return self._off.work()
+    def done(self) -> dict[str, Any]:
+        """What the last run did where rays wait: visits to treelets and waits in queues of a ray, and pages."""
         before, after = self._before, self._tracer.totals()
-        reported = {
+        return {
             "treelet_visits": (after.treelet_visits - before.treelet_visits) / self._count,
             "queued": (after.rays_queued - before.rays_queued) / self._count,
             "bytes_copied": after.bytes_copied - before.bytes_copied,
             "pages_loaded": after.pages_loaded - before.pages_loaded,
             "resident_peak": after.resident_peak,
         }
+
+    def work(self) -> dict[str, Any]:
+        if self.plan.method is Method.UNBATCHED:
+            return self._off.work()
+        reported = self.done()
         timer = StageTimer(clock_of(self._device))
         self._tracer = None
         timed = self._made(timer)

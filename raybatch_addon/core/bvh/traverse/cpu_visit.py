@@ -25,10 +25,11 @@ from .task import task_defines
 
 def boxes_visit_source(options: VisitOptions) -> str:
     """The body of the native function for `options`."""
+    moves = "traverse/boxes/visit_moves.h"
     return native_source(
         *ray_headers(options),
         "traverse/boxes/visit.h",
-        "traverse/boxes/visit_moves.h",
+        *(("traverse/boxes/tiers_names.h", moves, "traverse/boxes/tiers.h") if options.tiers else (moves,)),
         "traverse/boxes/visit_many.h",
         device="cpu",
         TREELETS=True,

@@ -63,12 +63,13 @@ def quantised_visit_source(options: VisitOptions) -> str:
             "ELECTS": options.top_level.elects,
             "SHORT_SEGMENTS": options.writes_queues,
         }
+    rays = "traverse/quantised/visit_rays.h"
     return native_source(
         *motion_headers(options),
         *NODE_HEADERS,
         "traverse/quantised/visit_lane.h",
         *lane_headers(options),
-        "traverse/quantised/visit_rays.h",
+        *(("traverse/quantised/tiers_names.h", rays, "traverse/quantised/tiers.h") if options.tiers else (rays,)),
         "traverse/quantised/visit_steps.h",
         *loop,
         "traverse/quantised/visit_end.h",

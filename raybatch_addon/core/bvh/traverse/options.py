@@ -88,6 +88,7 @@ class VisitOptions(TraversalOptions):
     task: VisitTask
     top_level: TopLevelTraversal = TopLevelTraversal.NAIVE  # of TOP alone
     lanes: int = 1  # QUANTISED, TOP, on a CPU: lanes that take turns as those of a CUDA warp do, 1..32
+    tiers: bool = False  # in TOP, there are large treelets
 
     def __post_init__(self) -> None:
         super().__post_init__()

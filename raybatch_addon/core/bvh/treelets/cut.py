@@ -54,6 +54,11 @@ class CutRule:
     no limit.
     """
 
+    tier_bytes: int = 0
+    """Most bytes of a large treelet, which holds treelets and the resident nodes between their roots and its own; 0:
+    there are none. Roots of trees are no large treelets, nor those of treelets.
+    """
+
     @property
     def cuts_nothing(self) -> bool:
         """Whether every tree is one treelet."""
@@ -83,6 +88,8 @@ class Cut:
     triangle_order: np.ndarray
     triangle_first: np.ndarray  # int64, shape [T + 1]: where the treelets' units begin in `triangle_order`
     levels: int  # levels of resident nodes, at least 1
+    top_large: np.ndarray  # int32, shape [n_top]: large treelet whose root this is, or -1
+    treelet_large: np.ndarray  # int32, shape [T]: large treelet that a treelet is in, or -1
     steps: int = 1  # of vertices that move, which all blocks have; step k of unit i was unit k * units + i
 
     @property
@@ -126,12 +133,16 @@ def cut_nodes(layout: Layout, nodes: np.ndarray, rule: CutRule, steps: int = 1) 
     units = steps * np.bincount(links.run_node, links.run_count, len(nodes)).astype(np.int64)[order.node]
     size, below = order.totals(np.ones(len(nodes), np.int64)), order.totals(units)
     opened, resident = _opened(layout, nodes, rule, order, size, below, units)
+    node_bytes, unit_bytes = 4 * layout.node_words, 4 * layout.triangle_words
+    is_large, large_at = _large(order, opened, node_bytes * size + unit_bytes * below, rule.tier_bytes)
     treelet_at, levels = _treelets(order, opened, resident, size)
 
     by_node = np.empty(len(nodes), np.int32)
     by_node[order.node] = treelet_at  # treelet that a node is in, its root included; -1 for opened nodes
     is_resident = np.empty(len(nodes), bool)
     is_resident[order.node] = resident
+    is_large_root, in_large = np.zeros(len(nodes), bool), np.empty(len(nodes), np.int32)
+    is_large_root[order.node], in_large[order.node] = is_large, large_at
     top = np.flatnonzero(is_resident)
     rest = np.flatnonzero(~is_resident)
     treelet_count = int(treelet_at.max()) + 1
@@ -145,10 +156,12 @@ def cut_nodes(layout: Layout, nodes: np.ndarray, rule: CutRule, steps: int = 1) 
         raise ValueError(f"a cut leaves {len(top):,} resident nodes, more than {_TOP_NODES_MAX:,}")
 
     run_order, run_first, triangle_first = _moved_runs(links, by_node, treelet_count)
-    words = with_links(layout, nodes, links, index, run_first, is_resident & (by_node >= 0))
+    words = with_links(layout, nodes, links, index, run_first, is_large_root | (is_resident & (by_node >= 0)))
     treelet_root = np.empty(treelet_count, np.int32)
     roots = top[by_node[top] >= 0]
     treelet_root[by_node[roots]] = index[roots]
+    treelet_large = np.empty(treelet_count, np.int32)
+    treelet_large[by_node[roots]] = in_large[roots]
     triangle_order = ranges(links.run_first[run_order], links.run_count[run_order])
     return Cut(
         layout=layout,
@@ -160,6 +173,8 @@ def cut_nodes(layout: Layout, nodes: np.ndarray, rule: CutRule, steps: int = 1) 
         triangle_order=triangle_order if steps == 1 else _over_steps(triangle_order, triangle_first, steps),
         triangle_first=steps * triangle_first,
         levels=levels,
+        top_large=np.where(is_large_root[top], in_large[top], np.int32(-1)),
+        treelet_large=treelet_large,
         steps=steps,
     )
 
@@ -219,6 +234,23 @@ def _opened(
         opened[at[np.searchsorted(needed, rule.top_bytes_max, side="right") :]] = False
         resident = _close(order, opened)
     return opened, resident
+
+
+def _large(order: Order, opened: np.ndarray, bytes_below: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
+    """Which nodes are roots of large treelets, and the large treelet that each node is in, int32, or -1; both in
+    breadth-first order. `bytes_below`: of each node's subtree.
+    """
+    large = np.full(len(opened), -1, np.int32)
+    if not most:
+        return np.zeros(len(opened), bool), large
+    above = opened & (bytes_below > most)
+    above[0] = opened[0]
+    roots = _close(order, above) & ~above & opened
+    large[roots] = np.arange(np.count_nonzero(roots), dtype=np.int32)
+    for first, end in order.levels()[:-1]:
+        children = slice(int(order.child_first[first]), int(order.child_first[end]))
+        large[children] = np.maximum(large[children], order.inherit(large[first:end], first, end))
+    return roots, large
 
 
 def _close(order: Order, opened: np.ndarray) -> np.ndarray:

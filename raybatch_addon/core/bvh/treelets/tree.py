@@ -67,6 +67,10 @@ class TreeletTree:
     mesh_triangle: np.ndarray = field(repr=False)  # likewise of resident triangles or groups, then their count
     mesh_treelet: np.ndarray = field(repr=False)  # likewise of treelets, then their count
     blocks: list[wp.array] = field(repr=False)  # where the treelets lie
+    # large treelet that each treelet is in, or -1, int64, shape [T]. In `Treelets.of_node` these are numbered behind
+    # treelets
+    treelet_large: np.ndarray = field(repr=False)
+    large_count: int = 0
     statistics: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -120,6 +124,11 @@ def cut_scene_tree(built: BuiltTree, rule: CutRule, device: wp.Device) -> Treele
             wp.copy(tree.triangles, part.top_triangles, dest_offset=first * layout.triangle_words // 4, count=count)
     treelets = Treelets()
     of_node = [np.where(part.of_node < 0, -1, part.of_node + first) for part, first in zip(parts, mesh_treelet)]
+    count, large_first = int(mesh_treelet[-1]), _ends([part.large_count for part in parts])
+    of_node = [
+        np.where(part.of_large < 0, of, part.of_large + count + first)
+        for part, of, first in zip(parts, of_node, large_first)
+    ]
     root = [part.root + first for part, first in zip(parts, mesh_node)]
     treelets.of_node = wp.array(
         np.concatenate([*of_node, np.full(len(top), -1)]).astype(np.int32), dtype=int, device=device
@@ -139,7 +148,7 @@ def cut_scene_tree(built: BuiltTree, rule: CutRule, device: wp.Device) -> Treele
         treelets=treelets,
         layout=layout,
         instancing=built.instancing,
-        treelet_count=int(mesh_treelet[-1]),
+        treelet_count=count,
         levels=top_levels + max(part.levels for part in parts),
         node_bytes=4 * layout.node_words * (len(top) + sum(mesh.node_count for mesh in built.meshes)),
         triangle_bytes=VECTOR_BYTES * sum(mesh.triangles.size for mesh in built.meshes),
@@ -149,6 +158,10 @@ def cut_scene_tree(built: BuiltTree, rule: CutRule, device: wp.Device) -> Treele
         mesh_node=mesh_node,
         mesh_triangle=mesh_triangle,
         mesh_treelet=mesh_treelet,
+        treelet_large=np.concatenate(
+            [np.where(part.in_large < 0, -1, part.in_large + first) for part, first in zip(parts, large_first)]
+        ),
+        large_count=int(large_first[-1]),
         blocks=[block for part in parts for block in (part.nodes, part.triangles)],
     )
     made.statistics = _description(made)
@@ -206,6 +219,8 @@ class _MeshCut(NamedTuple):
 
     top_nodes: np.ndarray
     of_node: np.ndarray
+    of_large: np.ndarray
+    in_large: np.ndarray
     root: np.ndarray
     top_triangles: wp.array
     top_triangle_count: int
@@ -218,6 +233,11 @@ class _MeshCut(NamedTuple):
     top_deform: int
     deform: np.ndarray
     levels: int
+
+    @property
+    def large_count(self) -> int:
+        """Large treelets."""
+        return int(self.of_large.max(initial=-1)) + 1
 
 
 def _cut_mesh(layout: Layout, mesh: MeshTree, rule: CutRule, device: wp.Device) -> _MeshCut:
@@ -237,6 +257,8 @@ def _cut_mesh(layout: Layout, mesh: MeshTree, rule: CutRule, device: wp.Device) 
     return _MeshCut(
         top_nodes=cut.top_nodes,
         of_node=cut.top_treelet,
+        of_large=cut.top_large,
+        in_large=cut.treelet_large,
         root=cut.treelet_root,
         top_triangles=gathered(0, cut.top_triangle_count),
         top_triangle_count=cut.top_triangle_count,
@@ -283,8 +305,10 @@ def _ends(counts: list[int]) -> np.ndarray:
 def _description(made: TreeletTree) -> dict[str, Any]:
     """Figures of the treelets for statistics."""
     sizes, sizes_bytes = made.treelet_sizes, made.treelet_bytes
+    large = {"large_treelets": made.large_count} if made.large_count else {}
     return {
         "treelets": made.treelet_count,
+        **large,
         "treelet_nodes_mean": round(float(sizes.mean()), 2),
         "treelet_nodes_largest": int(sizes.max()),
         "treelet_bytes_mean": round(float(sizes_bytes.mean()), 1),

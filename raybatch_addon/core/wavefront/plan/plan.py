@@ -69,9 +69,16 @@ def report_of(choices: dict[str, Choice]) -> dict[str, dict[str, Any]]:
     return {name: {"value": choice.value, "why": choice.why} for name, choice in choices.items()}
 
 
+def has_tiers(settings: RenderSettings) -> bool:
+    """Whether treelets are in large ones; with a cache, rays go on through all that it holds."""
+    return settings.treelet_tier_bytes > 0 and not settings.treelet_cache
+
+
 def cut_rule(plan: TracingPlan, settings: RenderSettings) -> CutRule:
     """Where trees are cut into treelets."""
-    return CutRule(plan.treelet_size, settings.treelet_size_min, settings.top_level_depth_max, plan.treelet_bytes)
+    tier_bytes = settings.treelet_tier_bytes if plan.method is Method.BATCHED and has_tiers(settings) else 0
+    sizes = plan.treelet_size, settings.treelet_size_min, settings.top_level_depth_max, plan.treelet_bytes
+    return CutRule(*sizes, tier_bytes=tier_bytes)
 
 
 @dataclass(frozen=True)
@@ -139,7 +146,7 @@ def _plan_of_rays(
         fits, why = needed <= budget, f"{device} has {size_text(free)} free"
     if not fits:
         reason = f"the scene needs up to {size_text(wanted)}, and {why}"
-        return _paged(settings, is_cuda, tree, memory, reason)
+        return _paged(settings, layout, is_cuda, tree, memory, reason)
     if mode == "ON":
         return _batched(settings, layout, choices)
     costs = costs_of(is_cuda)
@@ -165,7 +172,7 @@ def _batched(settings: RenderSettings, layout: Layout, choices: dict[str, Choice
     return TracingPlan(Method.BATCHED, treelet_bytes=treelet_bytes, treelet_size=settings.treelet_size, choices=choices)
 
 
-def _paged(settings: RenderSettings, is_cuda: bool, tree: int, memory: Memory, why: str) -> TracingPlan:
+def _paged(settings: RenderSettings, layout: Layout, is_cuda: bool, tree: int, memory: Memory, why: str) -> TracingPlan:
     budget, store, choices = settings.geometry_budget, settings.geometry_store, {}
     if settings.batching == "AUTO":
         choices["batching"] = Choice("ON", f"{why}: its geometry is brought in by pages")
@@ -189,15 +196,17 @@ def _paged(settings: RenderSettings, is_cuda: bool, tree: int, memory: Memory, w
                 f"the host has {size_text(memory.host_free)} free, and pages need up to {size_text(tree)}",
             )
         choices["geometry_store"] = Choice(store, reason)
-    if not settings.treelet_size and not settings.treelet_bytes:
-        choices["treelet_bytes"] = Choice(
-            0, "no limit: each page is brought in for all rays that wait for any part of it"
-        )
+    treelet_bytes = settings.treelet_bytes
+    if not settings.treelet_size and not treelet_bytes:
+        why = "no limit: each page is brought in for all rays that wait for any part of it"
+        if has_tiers(settings):
+            treelet_bytes, why = (TREELET_BYTES[layout], "fits a cache: rays wait at treelets of pages")
+        choices["treelet_bytes"] = Choice(treelet_bytes, why)
     return TracingPlan(
         Method.PAGED,
         geometry_budget=budget,
         geometry_store=store,
-        treelet_bytes=settings.treelet_bytes,
+        treelet_bytes=treelet_bytes,
         treelet_size=settings.treelet_size,
         choices=choices,
         complaints=tuple(complaints),

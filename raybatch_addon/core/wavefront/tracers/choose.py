@@ -52,7 +52,7 @@ def tracer_bytes_per_path(scene: DeviceScene, settings: RenderSettings, path_cou
             settings, scene.shadow_rays, tracing.instancing, scene.treelets.levels, scene.device.is_cuda, tracing.moving
         )
     if scene.paged:
-        return streaming_bytes_per_path(path_count, scene.shadow_rays, scene.paged.scene.levels)
+        return streaming_bytes_per_path(settings, path_count, scene.shadow_rays, scene.paged.scene.levels)
     return 0
 
 

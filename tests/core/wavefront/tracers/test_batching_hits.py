@@ -49,7 +49,10 @@ def met(name: str) -> dict[str, bool]:
 
 
 @functools.cache
-def cut_case(name: str, layout: Layout):
+def cut_case(name: str, layout: Layout, tier_bytes: int = 0):
+    if tier_bytes:
+        built, device = cut_case(name, layout)[0], wp.get_device(DEVICE)
+        return built, cut_scene_tree(built, CutRule(size=3, tier_bytes=tier_bytes), device)
     rng = np.random.default_rng(5)
     if name == "instances":
         places = [scenes.translation(*rng.uniform(-2, 2, 3), rng.uniform(0.3, 1)) for _ in range(25)]
@@ -114,7 +117,7 @@ def compare(
     name, layout, shadow_kind, parallel, counters=False, capacity=0, shared=True, rays_few=0, stages=None, **settings
 ):
     paths = 400
-    built, cut = cut_case(name, layout)
+    built, cut = cut_case(name, layout, settings.get("treelet_tier_bytes", 0))
     rays, device = rays_at(paths, built), wp.get_device(DEVICE)
     if shared:
         rays.hit_t = rays.t_max

@@ -2,6 +2,7 @@
 finished once.
 """
 
+import dataclasses
 import gc
 import threading
 
@@ -16,7 +17,8 @@ from raybatch_addon.core.bvh.pages.transfer import staging_bytes_of
 from raybatch_addon.core.bvh.traverse.counts import TraceCounts
 from raybatch_addon.core.rays import RayKind
 from raybatch_addon.core.settings.settings import RenderSettings
-from raybatch_addon.core.wavefront.tracers.pages.tracer import StreamingTracer, go_on_stage
+from raybatch_addon.core.wavefront.tracers.pages.stages import TreeletStage, page_stage
+from raybatch_addon.core.wavefront.tracers.pages.tracer import StreamingTracer, streaming_bytes_per_path
 from tests.core.wavefront.tracers.paged_rays import (
     BUDGET,
     CHECKED,
@@ -68,6 +70,47 @@ def test_hits_are_those_of_the_whole_tree(open_pool, layout, nodes_resident, man
     if slots == 1000:
         assert totals.pages_loaded <= len(paged.pages) and totals.pages_evicted == 0
     tracer.close()
+
+
+@pytest.mark.parametrize("slots", [1, 3, 1000])
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_rays_wait_at_the_treelets_of_pages_that_are_there(open_pool, layout, slots):
+    settings = RenderSettings(debug_checks="ON", treelet_tier_bytes=1)
+    paged = paged_of(layout, many=True)
+    totals = []
+    for each in (CHECKED, settings):
+        rays = new_rays()
+        tracer = tracer_of(open_pool(paged, min(slots, len(paged.pages))), rays, settings=each)
+        run(tracer, RayKind.OCCLUSION)
+        require_right(rays, layout, True)
+        totals.append(tracer.totals())
+        tracer.close()
+    plain, tiers = totals
+    assert tiers.rays_queued >= tiers.treelet_visits > plain.rays_queued
+    assert tiers.finished == plain.finished == 2 * PATHS
+
+
+def test_batches_are_put_in_the_order_of_treelets():
+    seen = []
+
+    class Noted:
+        kernels = ()
+
+        def launch(self, tree, treelets, rays, progress, batch, any_first, counts):
+            seen.append((batch.slots.numpy()[:5].tolist(), batch.locations.numpy()[:5].tolist()))
+
+    locations = np.array([7, -2, 3, 7, 3, 1, 0], np.int32)  # the last two are none of the batch's
+    batch = list_of(np.arange(7))
+    batch = dataclasses.replace(batch, locations=wp.array(locations, dtype=int, device=DEVICE))
+    batch.count.assign(np.array([5], np.int32))
+    TreeletStage(Noted(), Noted()).launch(None, None, None, None, batch, 0, None)
+    assert seen == 2 * [([1, 2, 4, 0, 3], [-2, 3, 3, 7, 7])]
+    assert batch.locations.numpy()[5:].tolist() == [1, 0]
+
+
+def test_memory_for_the_order_of_treelets():
+    one, two = (streaming_bytes_per_path(RenderSettings(treelet_tier_bytes=size), 1 << 26, True, 6) for size in (0, 1))
+    assert one < two <= one + 2
 
 
 @pytest.mark.parametrize("slots", [1, 3])
@@ -124,7 +167,7 @@ def test_segments_and_things_that_move(open_pool, name, layout, encoded, on_devi
 def test_workers_share_the_pool(open_pool, layout, slots):
     paged = paged_of(layout)
     pool = open_pool(paged, slots)
-    go_on_stage(layout, False, CHECKED)  # compiled before threads start
+    page_stage(layout, False, CHECKED)  # compiled before threads start
     warm = tracer_of(pool, new_rays())
     run(warm)
     warm.close()

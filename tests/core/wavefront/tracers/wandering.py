@@ -77,6 +77,7 @@ class Wander:
 @dataclass
 class NoTree:
     treelet_count: int
+    large_count: int = 0
     levels: int = 3
     layout: Layout = Layout.QUANTISED
     tree: Tree = dataclasses.field(default_factory=Tree)

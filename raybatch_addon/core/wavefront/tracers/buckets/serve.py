@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from ....bvh.traverse.task import VisitTask
 from ....bvh.tree import Treelets
@@ -55,13 +55,13 @@ class QueueServer:
         """Rays of exit queues go on through the top level, those of entry queues visit their treelets; there are
         `amount` at most.
         """
-        self._do(step, self._take(queues, amount))
+        self._do(self._task_of(step), self._take(queues, amount))
 
     def serve_marked(self, step: Step, bound: int) -> None:
         """Serve, as `serve` does, the queue that is marked on the device."""
         with self._timer.stage("queue"):
             batch = self._storage.take_marked(self._rules.entry, bound)
-        self._do(step, batch)
+        self._do(self._task_of(step), batch)
 
     def sweep(self, amount: int) -> None:
         """Serve all entry queues, or where rays have not begun or wait behind their treelet, all exit queues; `amount`
@@ -106,18 +106,25 @@ class QueueServer:
                     self._tree, self._treelets, storage.rays, storage.progress, batch, storage.any_first, storage.counts
                 )
 
-    def _do(self, step: Step, batch: RayList) -> None:
-        task = VisitTask.TOP if step == Step.TOP else VisitTask.TREELET
+    @staticmethod
+    def _task_of(step: Step) -> VisitTask:
+        return VisitTask.TOP if step == Step.TOP else VisitTask.TREELET
+
+    def _do(self, task: VisitTask, batch: RayList) -> None:
+        """Trace the batch that was taken last, and put it back."""
         self.trace(batch, task)
         self._put(self._after[task])
 
-    def _serve_all(self, queues: range, task: VisitTask) -> None:
-        """Do `task` for all rays of `queues`, which get none by that but those that SHORT_SEGMENT puts back."""
+    def _serve_all(
+        self, queues: range, task: VisitTask, do: Callable[[VisitTask, RayList], None] | None = None
+    ) -> None:
+        """Do `task` for all rays of `queues`, which get none by that but those that SHORT_SEGMENT puts back; `do`:
+        instead of `_do`.
+        """
         left = self._count(queues)
         while left > 0:
             batch = self._take(queues, left)
-            self.trace(batch, task)
-            self._put(self._after[task])
+            (do or self._do)(task, batch)
             left = self._count(queues) if left > batch.bound else 0
 
     def _count(self, queues: range) -> int:

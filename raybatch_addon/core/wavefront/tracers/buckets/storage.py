@@ -167,8 +167,32 @@ class Storage(Protocol):
     def put(self, rule: QueueRule) -> None:
         """The rays that were taken last wait where the batch says."""
 
+    def finished(self, batch: RayList) -> RayList:
+        """`batch`, rays that are done and out of queues, as slots of those that the storage was made for."""
 
-class InPlace:
+    def under_way(self, waiting: int) -> int:
+        """Rays that are not out of queues yet, where queues hold `waiting`."""
+
+    def clear(self) -> None:
+        """No ray is under way any more."""
+
+
+class _InOnePlace:
+    """A ray is in one queue or in none, under the number of its slot."""
+
+    def finished(self, batch: RayList) -> RayList:
+        """See `Storage.finished`."""
+        return batch
+
+    def under_way(self, waiting: int) -> int:
+        """See `Storage.under_way`."""
+        return waiting
+
+    def clear(self) -> None:
+        """See `Storage.clear`."""
+
+
+class InPlace(_InOnePlace):
     """Queues hold numbers of ray slots alone (INDIRECT): rays are traced where they are."""
 
     kernels: ClassVar[tuple[wp.Kernel, ...]] = ()
@@ -217,7 +241,7 @@ class InPlace:
         self._queues.put(self._taken, rule)
 
 
-class ByValue:
+class ByValue(_InOnePlace):
     """Queues hold what a traversal needs of rays (DIRECT): they are copied to a batch's memory, and back."""
 
     kernels: ClassVar[tuple[wp.Kernel, ...]] = (

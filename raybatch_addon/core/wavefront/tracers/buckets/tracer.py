@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import warp as wp
 
@@ -22,6 +23,7 @@ from ....measure.timing import NoTimer
 from ....rays import NO_ANY_HIT, RayKind, RayList
 from ....settings.settings import RenderSettings
 from ...plan.launch import Launch
+from ...plan.plan import has_tiers
 from ...rays import trail_words
 from ..visit import VisitStage, visit_stage
 from ..worker_rays import WorkerRays
@@ -29,6 +31,8 @@ from .assigned.immediate import ImmediateSteps, RecentTreelets, show_kernel
 from .assigned.policies import SEVERAL, assignment_of
 from .assigned.prefetch import TreeletPrefetch, prefetch_kernel
 from .assigned.steps import AssignedSteps, next_step_kernel
+from .assigned.tiers import TierServer, bucket_large
+from .assigned.within import WithinLarge
 from .blocks import STEP, pool_bytes, pool_size
 from .device_loop import LOOP_KERNELS, DeviceLoop
 from .finished import SPLIT_KERNELS, FinishedLists
@@ -36,6 +40,8 @@ from .policy import QueueNumbers, Selection, Step
 from .policy_device import AMOUNT, BUDGET, STEP_KIND, DevicePolicy, policy_kernels
 from .queues import BucketQueues, queue_kernels
 from .serve import QueueRules, QueueServer
+from .several.serve import SeveralServer
+from .several.storage import RayCopies, copies_of
 from .steps import FusedSteps, LaunchedSteps, LoopSteps, Steps, host_step_kernel
 from .storage import STORAGES, InPlace
 
@@ -65,12 +71,14 @@ def visit_stages(
     moving: bool = False,
 ) -> dict[VisitTask, VisitStage]:
     """The stages that rays go through."""
-    top_level = TopLevelTraversal[settings.top_level_traversal]
+    top_level, tiers = top_level_of(settings), has_tiers(settings)
     found = {"instancing": instancing, "counters": counters, "curves": curves, "motion": moving}
-    return {
-        task: visit_stage(layout, VisitOptions(task=task, top_level=top_level, **found), Launch.of(settings))
+    options = [
+        VisitOptions(task=task, top_level=top_level, tiers=tiers and task is VisitTask.TOP, **found)
         for task in VisitTask
-    }
+        if not (tiers and task is VisitTask.GO_ON)
+    ]
+    return {each.task: visit_stage(layout, each, Launch.of(settings)) for each in options}
 
 
 def batching_kernels(
@@ -92,7 +100,7 @@ def batching_kernels(
     else:
         kernels += policy_kernels(device)
         kernels += LOOP_KERNELS if device.is_cuda else [host_step_kernel]
-    kernels += STORAGES[settings.ray_storage].kernels
+    kernels += (RayCopies if queues_per_ray(settings) > 1 else STORAGES[settings.ray_storage]).kernels
     return kernels + [kernel for stage in stages.values() for kernel in stage.kernels]
 
 
@@ -100,17 +108,33 @@ def batching_bytes_per_path(
     settings: RenderSettings, shadow_rays: bool, instancing: bool, levels: int, is_cuda: bool, moving: bool = False
 ) -> int:
     """Device memory of a `BatchingTracer` for each path alive, but for what batches need, which is bounded [bytes]."""
-    many, queues = 1 << 22, 512
+    many, queues, places = 1 << 22, 512, queues_per_ray(settings)
     size = pool_size(queues, settings.queue_size, settings.queue_count, many)
     progress_bytes = 4 * trail_words(levels) + 4 * instancing
-    storage = STORAGES[settings.ray_storage]
+    storage = RayCopies if places > 1 else STORAGES[settings.ray_storage]
     stored = storage.bytes_per_slot(progress_bytes, instancing, moving, size.entry_count / many)
-    return math.ceil((1 + shadow_rays) * (stored + pool_bytes(size, queues, is_cuda) / many))
+    return math.ceil((1 + shadow_rays) * places * (stored + pool_bytes(size, queues, is_cuda) / many))
+
+
+def queues_per_ray(settings: RenderSettings) -> int:
+    """Treelets at which a ray waits at a time, at most. One where rays go on through treelets in a cache, treelets are
+    in large ones, or SHORT_SEGMENT has rays wait behind treelets that they do not enter.
+    """
+    short = settings.top_level_traversal == "SHORT_SEGMENT"
+    return 1 if short or settings.treelet_cache or has_tiers(settings) else settings.queues_per_ray
+
+
+def top_level_of(settings: RenderSettings) -> TopLevelTraversal:
+    """How the rays of a warp go through the top level: each for itself where treelets are in large ones, in which the
+    rays of a warp come from one treelet anyway.
+    """
+    asked = TopLevelTraversal[settings.top_level_traversal]
+    return TopLevelTraversal.NAIVE if asked.elects and has_tiers(settings) else asked
 
 
 def host_chooses(settings: RenderSettings, is_cuda: bool) -> bool:
     """Whether the host is asked in each step which buckets are served."""
-    helped = settings.treelet_cache > 0 or settings.is_on("treelet_prefetch")
+    helped = settings.treelet_cache > 0 or settings.is_on("treelet_prefetch") or has_tiers(settings)
     return helped or selection_of(settings, is_cuda) in SEVERAL
 
 
@@ -150,10 +174,17 @@ class BatchingTracer:
         of CUDA devices, on the CPU too. `capacity`: rays of a batch at most. Where these are not given they are chosen.
         """
         device, counts, debug = worker.device, worker.counts, settings.is_on("debug_checks")
-        self._timer, self._numbers = worker.timer, QueueNumbers(treelet_tree.treelet_count)
+        self._timer, self._numbers = worker.timer, QueueNumbers(treelet_tree.treelet_count + treelet_tree.large_count)
         self._selection = selection_of(settings, device.is_cuda)
-        storage = STORAGES[settings.ray_storage]
-        queue_total, slot_count = self._numbers.queue_total, worker.slot_count
+        storage, server_type = STORAGES[settings.ray_storage], QueueServer
+        queue_total, self._copies = self._numbers.queue_total, copies_of(queues_per_ray(settings), worker.slot_count)
+        slot_count = worker.slot_count * self._copies
+        given: dict[str, Any] = {}
+        if self._copies > 1:
+            storage, server_type = RayCopies, SeveralServer
+            given = {"width": self._copies, "tree": treelet_tree.tree}
+        elif has_tiers(settings):
+            server_type = TierServer
         if not capacity:
             size = pool_size(queue_total, settings.queue_size, settings.queue_count, slot_count)
             capacity = storage.batch_capacity(slot_count, size.queue_size, device.is_cuda)
@@ -176,6 +207,7 @@ class BatchingTracer:
             instancing=instancing,
             moving=moving,
             counts=counts,
+            **given,
         )
         self._finished = FinishedLists(self._queues.capacity, worker.path_count, worker.shadow_kind, device)
         rays_few = few_rays(settings, device.is_cuda) if rays_few is None else rays_few
@@ -186,7 +218,7 @@ class BatchingTracer:
         for stage in stages.values():
             stage.prepare(device)
         served = treelet_tree, stages, self._queues, self._storage, self._numbers
-        self._server = QueueServer(*served, worker.timer)
+        self._server = server_type(*served, worker.timer)
         self._totals = BatchingTotals(block_count=self._queues.size.block_count)
         self._made_at = time.perf_counter()
         self._step = self._host_steps = self._forgotten = self._forgotten_done = 0
@@ -194,6 +226,8 @@ class BatchingTracer:
         self._steps: Steps
         if host_chooses(settings, device.is_cuda):
             asked = assignment_of(self._selection, processor_count(settings, device), settings.seed)
+            if treelet_tree.large_count:
+                asked = WithinLarge(asked, bucket_large(treelet_tree))
             prefetch = TreeletPrefetch(treelet_tree) if settings.is_on("treelet_prefetch") else None
             rules = {"numbers": self._numbers, "wait_max": settings.bucket_wait_max, "rays_few": rays_few}
             rules["prefetch"] = prefetch
@@ -215,7 +249,8 @@ class BatchingTracer:
             capacity=self._queues.capacity,
         )
         led = policy, self._server, worker.timer
-        parallel_queues, is_stepwise = self._queues.parallel_queues, self._selection != Selection.ALL and not debug
+        parallel_queues = self._queues.parallel_queues
+        is_stepwise = self._selection != Selection.ALL and not debug and self._copies == 1
         if is_stepwise and parallel_queues and counts is None:
             untimed = QueueServer(*served, NoTimer())  # the loop is timed as one
             launched = treelet_tree.layout, instancing, False, settings, device, curves, moving
@@ -238,7 +273,7 @@ class BatchingTracer:
         self._count_steps()
         waiting = self._queues.waiting
         self._note_occupancy(waiting)
-        target = max(1, int(waiting * ADVANCE_SHARE))
+        target = max(1, int(waiting * ADVANCE_SHARE / self._copies))
         self._steps.begin(target)
         while True:
             choice = self._steps.choose()
@@ -266,16 +301,18 @@ class BatchingTracer:
         if count == 0:
             return []
         with self._timer.stage("queue"):
-            self._finished.split(self._queues.take([self._numbers.done], self._rules.entry, bound=count))
+            taken = self._queues.take([self._numbers.done], self._rules.entry, bound=count)
+            self._finished.split(self._storage.finished(taken))
         finished = self._finished.fetch()
         self._totals.finished += sum(rays.bound for _, rays in finished)
         return finished
 
     def forget(self) -> None:
         """See `Tracer.forget`."""
-        self._forgotten += self._queues.waiting
+        self._forgotten += self._storage.under_way(self._queues.waiting)
         self._forgotten_done += int(self._queues.fetch_counts()[self._numbers.done])
         self._queues.clear()
+        self._storage.clear()
 
     def release(self) -> None:
         """See `Tracer.release`."""
@@ -286,7 +323,7 @@ class BatchingTracer:
         totals, queues = self._totals, self._queues
         for name, value in queues.totals().items():
             setattr(totals, name, value)
-        totals.rays = totals.finished + queues.waiting + self._forgotten
+        totals.rays = totals.finished + self._storage.under_way(queues.waiting) + self._forgotten
         # rays that are done wait in a queue too, which is none of those that cost
         totals.rays_queued -= totals.finished + int(queues.fetch_counts()[self._numbers.done]) + self._forgotten_done
         totals.treelet_visits = int(self._storage.progress.visits.numpy()[0])

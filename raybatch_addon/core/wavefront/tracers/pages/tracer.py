@@ -30,18 +30,17 @@ from ....bvh.pages.encode import PAGE_KERNELS
 from ....bvh.pages.paged_scene import PagedScene
 from ....bvh.pages.residency import Residency, address_kernel
 from ....bvh.pages.transfer import pages_a_step
-from ....bvh.traverse.options import VisitOptions
-from ....bvh.traverse.task import VisitTask
 from ....measure.batching import BatchingTotals, PageWaits
 from ....rays import NO_ANY_HIT, RayKind, RayList
 from ....settings.settings import RenderSettings
-from ...plan.launch import Launch
+from ...plan.plan import has_tiers
 from ...rays import allocate_progress, trail_words
-from ..visit import VisitStage, visit_stage
+from ..visit import VisitStage
 from ..worker_rays import WorkerRays
 from .kernels import streaming_kernels
 from .policy import choose_pages, choose_victims, copies_pay
-from .rays import PendingCounts, RayCounts, WaitingRays, streaming_bytes_per_slot
+from .rays import PendingCounts, RayCounts, WaitingRays, page_batch_capacity, streaming_bytes_per_slot
+from .stages import SORT_BYTES, page_stage
 
 # Rays that begin in a step at most: few enough that the first pages are on their way early
 _NEW_CUDA, _NEW_CPU = 1 << 24, 1 << 16
@@ -51,25 +50,19 @@ _FINISHED_SHARE = 8
 PATIENCE = 1.0
 
 
-def streaming_bytes_per_path(path_count: int, shadow_rays: bool, levels: int) -> int:
+def streaming_bytes_per_path(settings: RenderSettings, path_count: int, shadow_rays: bool, levels: int) -> int:
     """Device memory of the tracer that grows with paths alive, for each [bytes]."""
     slots = 1 + shadow_rays
-    return math.ceil(slots * (streaming_bytes_per_slot(slots * path_count) + 4 + 4 * trail_words(levels)))
-
-
-def go_on_stage(
-    layout: Layout, counters: bool, settings: RenderSettings, curves: bool = False, moving: bool = False
-) -> VisitStage:
-    """The stage that traces."""
-    options = VisitOptions(task=VisitTask.GO_ON, instancing=True, counters=counters, curves=curves, motion=moving)
-    return visit_stage(layout, options, Launch.of(settings))
+    count = slots * path_count
+    order = SORT_BYTES * page_batch_capacity(count) / count if has_tiers(settings) else 0
+    return math.ceil(slots * (streaming_bytes_per_slot(count) + order + 4 + 4 * trail_words(levels)))
 
 
 def compiled_ahead(
     layout: Layout, counters: bool, settings: RenderSettings, curves: bool = False, moving: bool = False
 ) -> list[wp.Kernel]:
     """Kernels of a `StreamingTracer`."""
-    stage = go_on_stage(layout, counters, settings, curves, moving)
+    stage = page_stage(layout, counters, settings, curves, moving)
     return [*streaming_kernels(), address_kernel, *PAGE_KERNELS, *stage.kernels]
 
 
@@ -107,7 +100,7 @@ class StreamingTracer:
         self._shadow_kind, self._timer, self._trace_counts = worker.shadow_kind, worker.timer, worker.counts
         self._any_first = path_count if worker.shadow_kind == RayKind.OCCLUSION else NO_ANY_HIT
         self._debug = settings.is_on("debug_checks")
-        self._stage = stage or go_on_stage(paged.layout, worker.counts is not None, settings, curves, moving)
+        self._stage = stage or page_stage(paged.layout, worker.counts is not None, settings, curves, moving)
         self._progress = allocate_progress(slot_count, trail_words(paged.levels), True, device)
         self._waiting = WaitingRays(slot_count, path_count, residency.page_of, len(paged.pages), device, capacity)
         self._view = residency.view()

@@ -1,0 +1,1 @@
+"""Rays that wait at several treelets at a time."""
