@@ -96,12 +96,12 @@ class Made:
     up: str
 
 
-def _forest(count: int, terrain_edge: int, edge: int) -> Scene:
-    return forest(count, terrain_edge, 2, 1, edge, edge)
+def _forest(sizes: tuple[int, int], edge: int) -> Scene:
+    return forest(*sizes, detail=2, seed=1, width=edge, height=edge)
 
 
-def _island(count: int, terrain_edge: int, edge: int) -> Scene:
-    return island(count, terrain_edge, 2, 1, edge, edge)
+def _island(sizes: tuple[int, int], edge: int) -> Scene:
+    return island(*sizes, detail=2, seed=1, width=edge, height=edge)
 
 
 # A mesh of small triangles, architecture of large ones, many instances, and open ground
@@ -109,8 +109,8 @@ SCENES = {
     "bunny": Made(lambda options, edge: scenes.grid("bunny", options, 8 if options.is_cuda else 4, edge), "y"),
     "sponza": Made(lambda options, edge: scenes.under_the_sky("sponza", options, edge), "y"),
     "san_miguel": Made(lambda options, edge: scenes.under_the_sky("san_miguel", options, edge), "z"),
-    "forest": Made(lambda options, edge: _forest(*options.pick((2_000, 65), (200_000, 1025)), edge), "z"),
-    "island": Made(lambda options, edge: _island(*options.pick((500, 129), (20_000, 1025)), edge), "z"),
+    "forest": Made(lambda options, edge: _forest(options.pick((2_000, 65), (200_000, 1025)), edge), "z"),
+    "island": Made(lambda options, edge: _island(options.pick((500, 129), (20_000, 1025)), edge), "z"),
 }
 ON_CUDA = ("bunny", "forest", "island")  # of which a machine without the others has all
 KINDS_ON_CUDA = ("bounce1", "bounce4", "primary")
