@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from ...film.layout import COST_PASSES
 from ...scene.features import SceneFeatures
-from ...scene.passes import matte_kinds
 from ...settings.settings import RenderSettings
 from .plan import Method
 
@@ -22,8 +21,6 @@ def why_not_streaming(settings: RenderSettings, features: SceneFeatures, method:
         return "its images do not fit in memory, and the host brings tiles of them; set texture_budget to 0"
     if features.catchers:
         return "the scene has shadow catchers, whose paths begin again between turns; make them usual surfaces"
-    if matte_kinds(features.passes):
-        return "it has passes of Cryptomatte, whose weights the host takes in each turn; leave these passes out"
     if settings.is_on("counters") or not set(COST_PASSES).isdisjoint(features.passes):
         return "steps are counted in lists of rays; set counters to OFF, and leave out passes that show cost"
     return ""

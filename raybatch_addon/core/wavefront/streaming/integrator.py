@@ -17,6 +17,7 @@ from ...device.devices import load_module
 from ...device.kernel import specialised_out_of_line
 from ...film.tile import FilmTile, FinishedTile
 from ...scene.description import Frame
+from ...scene.passes import matte_kinds
 from ...settings.settings import RenderSettings
 from ..integrator import TAIL_SHARE, TileIntegrator
 from ..path_lists import Length
@@ -83,7 +84,12 @@ class StreamingIntegrator(TileIntegrator):
             scene.features, stream_tracing(scene.tracing, scene.features), specialised_out_of_line()
         )
         load_module(self._kernel, device)
-        self._work = _FIRST_WORK * count  # tokens of the next launch
+        self._work_most = _WORK_MOST
+        if matte_kinds(frame.passes):
+            # a token sets aside a weight of each kind at most, and a warp takes a batch beyond what a launch is to take
+            self._work_most = count
+            self._film_tiles.set_mattes_aside(self._lists.counts.at(Length.MATTES), count + warps * queues.batch)
+        self._work = min(_FIRST_WORK * count, self._work_most)  # tokens of the next launch
 
     def _warp_count(self, settings: RenderSettings) -> int:
         if not self.device.is_cuda:
@@ -142,6 +148,8 @@ class StreamingIntegrator(TileIntegrator):
             )
         counted = dict(zip(Counter, queues.counters.numpy().tolist(), strict=True))
         lengths = self._lists.counts.fetch()
+        if lengths[Length.MATTES]:
+            self._mattes = self._mattes.plus(self._film_tiles.mattes_aside(lengths[Length.MATTES]))
         self._film_tiles.take_spill(film, lengths[Length.SPILL])
         begun = min(counted[Counter.BEGUN], left)
         self._alive = counted[Counter.ALIVE]
@@ -155,7 +163,7 @@ class StreamingIntegrator(TileIntegrator):
         self.rays.bounced += counted[Counter.RAYS] - begun
         self.rays.shadow += counted[Counter.SHADOW_RAYS]
         share = LAUNCH_SECONDS / max(time.perf_counter() - start, 1e-6) * counted[Counter.WORK] / self._work
-        self._work = int(min(max(self._work * min(share, _GROWTH), self.path_count, 1), _WORK_MOST))
+        self._work = int(min(max(self._work * min(share, _GROWTH), self.path_count, 1), self._work_most))
         return counted[Counter.ENDED]
 
     def _give_up(self, state: TileState) -> None:
