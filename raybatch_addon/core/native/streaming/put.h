@@ -27,17 +27,11 @@ auto reserve = [&](int& to, int n) -> int {
     if (to <= TREELETS) add(queues.size.data + to, n);
     return add(queues.tail.data + to, n);
 };
-// Who has the ticket of a whole round before is about to read its entry
+// Who takes what was in the entry before is about to read it
 auto place = [&](int to, int ticket, int token) {
-    int* const p = entry(to, ticket);
-    for (int tries = 0; look(p) != EMPTY; ++tries) {
-        if (tries == TRIES_MOST) {
-            publish(counters + FAULT, 1 + to);
-            break;
-        }
-        rest();
-    }
-    publish(p, token);
+    long long* const p = entry(to, ticket);
+    wait_for(p, (unsigned)ticket, to);
+    publish_entry(p, entry_of((unsigned)ticket + 1u, token));
 };
 together();
 fence();

@@ -79,17 +79,12 @@ for (int idle = 0;;) {
     if (count > 0) break;
 }
 if (queue == LEAVE_NOW) return LEAVE_NOW;
-// Who has the ticket of an entry before was given it, and is about to write it
+// Who puts with the same ticket was given it before, and is about to write the entry
 for (int i = lane; i < count; i += LANES) {
-    int* const p = entry(queue, head + i);
-    int token = look(p);
-    for (int tries = 0; token == EMPTY && tries < TRIES_MOST; ++tries) {
-        rest();
-        token = look(p);
-    }
-    if (token == EMPTY) publish(counters + FAULT, 1 + queue);
-    publish(p, EMPTY);
-    tokens[i] = token;
+    const int ticket = head + i;
+    long long* const p = entry(queue, ticket);
+    tokens[i] = (int)wait_for(p, (unsigned)ticket + 1u, queue);
+    publish_entry(p, entry_of((unsigned)ticket + (unsigned)queues.mask.data[queue] + 1u, 0));
 }
 if (lane == 0) {
     own[HELD] = count;

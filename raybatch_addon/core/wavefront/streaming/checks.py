@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from .queues import EMPTY, Queue, StreamQueues
+from .queues import Queue, StreamQueues
 
 
 def check_queues(queues: StreamQueues, status: wp.array, alive: int) -> None:
@@ -18,16 +18,17 @@ def check_queues(queues: StreamQueues, status: wp.array, alive: int) -> None:
     size, head, tail = (getattr(queues, name).numpy() for name in ("size", "head", "tail"))
     seen = np.zeros(path_count, int)
     for queue in range(len(size)):
-        waiting = int(tail[queue] - head[queue])
+        waiting = (int(tail[queue]) - int(head[queue])) & 0xFFFFFFFF
         name = Queue(queue).name if queue < len(Queue) else f"of treelet {queue - len(Queue)}"
         _check(waiting == size[queue], f"queue {name} has {waiting} tickets and {size[queue]} tokens")
         _check(0 <= waiting <= mask[queue] + 1, f"queue {name} holds {waiting} tokens in {mask[queue] + 1} places")
         entries = ring[first[queue] : first[queue] + mask[queue] + 1]
-        places = (int(head[queue]) + np.arange(waiting)) & mask[queue]
-        tokens = entries[places]
-        _check((tokens != EMPTY).all(), f"an entry of queue {name} was not published")
-        left = np.delete(entries, places)
-        _check((left == EMPTY).all(), f"an entry of queue {name} was read and is not empty")
+        # the next ticket of each entry; where its token is there, it says one more
+        tickets = int(head[queue]) + np.arange(mask[queue] + 1)
+        turns, places = tickets + (tickets < int(head[queue]) + waiting), tickets & mask[queue]
+        agree = (entries[places] >> 32).astype(np.uint32) == turns.astype(np.uint32)
+        _check(agree.all(), f"an entry of queue {name} was not published, or not read")
+        tokens = entries[places[:waiting]] & 0xFFFFFFFF
         np.add.at(seen, tokens % path_count, 1)
         if queue == Queue.GENERATE:
             _check((status.numpy()[tokens] == 0).all(), "a path that is alive is among the free slots")

@@ -7,8 +7,8 @@ warp never waits for room.
 The protocol is that of the broker queue (Kerbl, Kenzel, Mueller, Schmalstieg and Steinberger 2018, "The broker queue: a
 fast, linearizable FIFO queue for fine-granular work distribution on the GPU"), a batch at a time: `size` says how many
 tokens may still be taken, and whoever lowers it owns as many tickets of `head`; who puts raises it and owns tickets of
-`tail`. An entry of the ring is `EMPTY` until its token is there, and again when that was taken. Why nobody waits for
-ever is argued in docs/streaming.md.
+`tail`. An entry of the ring says whose turn it is (Vyukov, "Bounded MPMC queue", 1024cores.net): that of a ticket whose
+token is to come, or of who has the same ticket to take it. Why nobody waits for ever is argued in docs/streaming.md.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ import warp as wp
 
 from ...native.build import native_source
 
-EMPTY = -1  # of a ring's entry
 LEAVE = -1  # what `take` returns when a launch is over
 
 
@@ -74,9 +73,11 @@ IN_TURN, AT_RANDOM = 1, 2  # `StreamQueues.selection`; 0: the longest queue
 class StreamQueues:
     """Device side of the queues of one worker, and of its warps."""
 
-    ring: wp.array(dtype=int)  # tokens of all queues, a ring behind another; shared by `first` and `mask`
+    # entries of all queues, a ring behind another: a token, and in the upper 32 bits a ticket, while that token is to
+    # come, or one more while it is there
+    ring: wp.array(dtype=wp.int64)
     first: wp.array(dtype=wp.int64)  # where the ring of each queue begins
-    mask: wp.array(dtype=int)  # its places, a power of two, less 1
+    mask: wp.array(dtype=int)  # its places, a power of two from 2 on, less 1
     size: wp.array(dtype=int)  # tokens that may be taken
     head: wp.array(dtype=int)  # tickets taken so far, as 32 bits that run over
     tail: wp.array(dtype=int)  # tickets given so far
@@ -95,7 +96,7 @@ class StreamQueues:
 
 def ring_places(least: int) -> int:
     """Places of a ring for `least` tokens: a power of two."""
-    return 1 << max(least - 1, 0).bit_length()
+    return max(2, 1 << max(least - 1, 0).bit_length())
 
 
 def treelet_places(path_count: int, treelet_count: int) -> int:
@@ -108,7 +109,7 @@ def treelet_places(path_count: int, treelet_count: int) -> int:
 def queue_bytes(path_count: int, treelet_count: int) -> int:
     """Memory of the rings [bytes]."""
     places = len(Queue) * ring_places(path_count) + treelet_count * treelet_places(path_count, treelet_count)
-    return 4 * places
+    return 8 * places
 
 
 def allocate_queues(
@@ -117,7 +118,7 @@ def allocate_queues(
     """Empty queues for `path_count` paths, and `warp_count` warps that take `batch` tokens at a time."""
     places = [ring_places(path_count)] * len(Queue) + [treelet_places(path_count, treelet_count)] * treelet_count
     queues = StreamQueues()
-    queues.ring = wp.empty(sum(places), dtype=int, device=device)
+    queues.ring = wp.empty(sum(places), dtype=wp.int64, device=device)
     queues.first = wp.array(np.cumsum([0, *places[:-1]]), dtype=wp.int64, device=device)
     queues.mask = wp.array(np.array(places) - 1, dtype=int, device=device)
     for name in ("size", "head", "tail"):
@@ -134,10 +135,12 @@ def allocate_queues(
 
 def fill_queues(queues: StreamQueues, path_count: int) -> None:
     """No path is alive: all `path_count` tokens are in GENERATE."""
-    queues.ring.fill_(EMPTY)
+    turns = [np.arange(mask + 1) for mask in queues.mask.numpy().tolist()]
+    turns[Queue.GENERATE][:path_count] += 1
+    ring = np.concatenate(turns) << 32
     first = int(queues.first.numpy()[Queue.GENERATE])
-    device = queues.ring.device
-    wp.copy(queues.ring, wp.array(np.arange(path_count), dtype=int, device=device), dest_offset=first, count=path_count)
+    ring[first : first + path_count] += np.arange(path_count)
+    queues.ring.assign(ring)
     for name in ("size", "head", "tail"):
         getattr(queues, name).zero_()
     for array in (queues.size, queues.tail):
@@ -152,7 +155,6 @@ def _source(header: str, tries_most: int = _TRIES_MOST) -> str:
     return native_source(
         "streaming/warp.h",
         header,
-        EMPTY=EMPTY,
         WARP_WORDS=len(Word),
         FAIR_TURNS=FAIR_TURNS,
         IDLE_MOST=_IDLE_MOST,
