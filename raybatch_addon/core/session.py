@@ -249,11 +249,10 @@ class Session:
 
     def _unlike(self) -> list[str]:
         """A warning where the devices are not of one model."""
-        others = [each for each in self.devices if not is_alike(each, self.device)]
         return [
             f"{self.device.alias} ({self.device.name}) and {other.alias} ({other.name}) are of unlike models: each "
             "renders what it comes to, so that the last bits of another render of this picture may differ"
-            for other in others[:1]
+            for other in [each for each in self.devices if not is_alike(each, self.device)][:1]
         ]
 
     def _prepare(self, job: Job, sharing: Sequence[SessionDevice]) -> list[Place]:

@@ -82,8 +82,17 @@ class TileIntegrator:
         self._data = self.textures.data if self.textures else scene.data
         self._tracer: Tracer | None = None  # there is nothing to hit
         if scene.tree and self.traces_lists:
-            counts, asked = self._counters if self._counts_steps else None, self._shadow_kind
-            self._tracer = make_tracer(scene, self._rays, count, asked, settings, counts, self._timer, self._order)
+            counts = self._counters if self._counts_steps else None
+            self._tracer = make_tracer(
+                scene,
+                self._rays,
+                count,
+                self._shadow_kind,
+                settings,
+                counters=counts,
+                timer=self._timer,
+                order=self._order,
+            )
         self._cost: wp.array | None = None
         self._mattes = Mattes()  # of the tile, beside those in its slots
         self._filter = wp.array(filter_table(settings.pixel_filter, settings.filter_width), dtype=float, device=device)

@@ -37,11 +37,11 @@ from .trace import TracedTree, stream_tracing
 # A launch is to take about this long, so that a render stops soon and shows how far it is [s]
 LAUNCH_SECONDS = 0.1
 # Tokens of a first launch, for each path slot; and how far the next may differ from the last
-_FIRST_WORK, _GROWTH = 4, 4.0
+_FIRST_WORK, _GROWTH = 2, 4.0
 _WORK_MOST = 1 << 29
 # Tokens that a warp takes at a time: on a CPU enough that a traversal carries many rays all the time
-CUDA_BATCH, CPU_BATCH = 128, 1024
-CUDA_FULL, CPU_FULL = 64, 512
+_CUDA_BATCH, _CPU_BATCH = 128, 1024
+_CUDA_FULL, _CPU_FULL = 64, 512
 # Warps of each multiprocessor, about as many as its registers are enough for
 _WARPS_A_PROCESSOR = 16
 
@@ -59,7 +59,7 @@ class StreamingIntegrator(TileIntegrator):
         device, count, batches = self.device, self.path_count, scene.treelets
         slot_count = self._rays.origin.size
         warps = self._warp_count(settings)
-        batch, full = (CUDA_BATCH, CUDA_FULL) if device.is_cuda else (CPU_BATCH, CPU_FULL)
+        batch, full = (_CUDA_BATCH, _CUDA_FULL) if device.is_cuda else (_CPU_BATCH, _CPU_FULL)
         treelets = batches.treelet_count if batches else 0
         self._queues = queues = allocate_queues(count, treelets, warps, min(batch, count), min(full, count), device)
         queues.selection = {"NEXT": IN_TURN, "RANDOM": AT_RANDOM}.get(settings.bucket_selection, 0)

@@ -20,7 +20,7 @@ from ..scene.shading_data import SceneData
 from ..stages.limits import PathLimits
 from ..stages.work import TileWork
 from ..volumes.table import VolumeData
-from .queues import Counter, Queue, StreamQueues, Word, lane_count, put, take
+from .queues import Counter, Queue, StreamQueues, Word, lane_count, put_tokens, take_tokens
 from .stages import stream_stages, whereto
 from .trace import StreamTracing, TracedTree, make_trace_batch, stream_tracing
 
@@ -79,7 +79,7 @@ def stream_kernel(features: SceneFeatures, tracing: StreamTracing | None, out_of
         tokens = stream.queues.tokens[thread / lanes]
         targets = stream.queues.targets[thread / lanes]
         one = stream.one
-        queue = int(take(stream.queues, thread))
+        queue = int(take_tokens(stream.queues, thread))
         while queue >= 0:
             if queue >= _SHADOW and queue != _GENERATE:
                 trace_batch(stream.traced, paths, rays, stream.queues, one, queue, thread)
@@ -116,8 +116,8 @@ def stream_kernel(features: SceneFeatures, tracing: StreamTracing | None, out_of
                             begins(stream, to.token)
                         tokens[i] = to.token
                         targets[i] = to.queue
-            put(stream.queues, thread)
-            queue = take(stream.queues, thread)
+            put_tokens(stream.queues, thread)
+            queue = take_tokens(stream.queues, thread)
 
     return with_block_size(stream_paths, BLOCK_SIZE)
 

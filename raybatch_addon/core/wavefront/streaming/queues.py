@@ -18,9 +18,11 @@ from enum import IntEnum
 import numpy as np
 import warp as wp
 
+from ...bvh.treelets.tree import TreeletTree
 from ...native.build import native_source
+from ..rays import trail_words
 
-LEAVE = -1  # what `take` returns when a launch is over
+LEAVE = -1  # what `take_tokens` returns when a launch is over
 
 
 class Queue(IntEnum):
@@ -112,6 +114,16 @@ def queue_bytes(path_count: int, treelet_count: int) -> int:
     return 8 * places
 
 
+def stream_bytes_per_path(path_count: int, shadow_rays: bool, cut: TreeletTree | None) -> int:
+    """Device memory that the schedule takes for each of `path_count` paths alive [bytes]; `cut`: the tree, where rays
+    wait at treelets.
+    """
+    size = -(-queue_bytes(path_count, cut.treelet_count if cut else 0) // path_count)
+    if cut:  # a location, and how far a ray has come
+        size += (1 + shadow_rays) * (4 + 4 * trail_words(cut.levels) + 4 * cut.instancing)
+    return size
+
+
 def allocate_queues(
     path_count: int, treelet_count: int, warp_count: int, batch: int, full: int, device: wp.Device
 ) -> StreamQueues:
@@ -166,14 +178,14 @@ def _source(header: str, tries_most: int = _TRIES_MOST) -> str:
 
 
 @wp.func_native(_source("streaming/take.h"))
-def take(queues: StreamQueues, thread: int) -> int:
+def take_tokens(queues: StreamQueues, thread: int) -> int:
     """A warp takes tokens from the queue that it chooses, which is returned; `LEAVE`: the launch is over. All of its
     lanes call it together.
     """
 
 
 @wp.func_native(_source("streaming/put.h"))
-def put(queues: StreamQueues, thread: int):
+def put_tokens(queues: StreamQueues, thread: int):
     """A warp puts the tokens that it holds into their `targets`. All of its lanes call it together."""
 
 

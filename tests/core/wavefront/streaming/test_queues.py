@@ -17,9 +17,9 @@ from raybatch_addon.core.wavefront.streaming.queues import (
     allocate_queues,
     fill_queues,
     lane_count,
-    put,
+    put_tokens,
     queue_bytes,
-    take,
+    take_tokens,
     treelet_places,
     warp_size,
 )
@@ -46,7 +46,7 @@ def walk_kernel(
     thread = first + wp.tid()
     warp = thread / lane_count()
     treelets = queues.size.shape[0] - _TREELETS - 1
-    queue = int(take(queues, thread))
+    queue = int(take_tokens(queues, thread))
     while queue >= 0:
         for i in range(thread % lane_count(), queues.warps[warp, _HELD], lane_count()):
             token = queues.tokens[warp, i]
@@ -70,8 +70,8 @@ def walk_kernel(
                 status[token] = 0
                 target = _GENERATE
             queues.targets[warp, i] = target
-        put(queues, thread)
-        queue = take(queues, thread)
+        put_tokens(queues, thread)
+        queue = take_tokens(queues, thread)
 
 
 @pytest.fixture(scope="module")
