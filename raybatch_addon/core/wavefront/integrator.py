@@ -82,16 +82,9 @@ class TileIntegrator:
         self._data = self.textures.data if self.textures else scene.data
         self._tracer: Tracer | None = None  # there is nothing to hit
         if scene.tree and self.traces_lists:
-            counts = self._counters if self._counts_steps else None
+            counts, order = self._counters if self._counts_steps else None, self._order
             self._tracer = make_tracer(
-                scene,
-                self._rays,
-                count,
-                self._shadow_kind,
-                settings,
-                counters=counts,
-                timer=self._timer,
-                order=self._order,
+                scene, self._rays, count, self._shadow_kind, settings, counters=counts, timer=self._timer, order=order
             )
         self._cost: wp.array | None = None
         self._mattes = Mattes()  # of the tile, beside those in its slots
