@@ -31,3 +31,7 @@ def check_cancelled(cancelled: Callable[[], bool]) -> None:
 
 class OutOfMemoryError(RayBatchError, MemoryError):
     """A render that does not fit in memory, even with everything reduced."""
+
+
+class BudgetError(OutOfMemoryError):
+    """A budget that a setting gives, and that is less than the scene needs: so it is on every machine."""

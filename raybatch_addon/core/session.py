@@ -35,6 +35,7 @@ from .settings.settings import RenderSettings
 from .wavefront.adaptive.active_pixels import ActivePixels
 from .wavefront.adaptive.ranges import check_after, chosen_looks, pixels_can_end
 from .wavefront.plan.plan import Choice
+from .wavefront.plan.schedule import with_schedule
 from .wavefront.render.events import RenderEvents, snapshot_watchers
 from .wavefront.render.rendering import Rendering
 from .wavefront.render.resume import ResumeState, check_samples, film_to_fill
@@ -224,7 +225,8 @@ class Session:
         features = derived("features", settings, lambda: derive_features(checked, settings))
         features = replace(features, adaptive=pixels_can_end(settings, sample_first))
         plan = first.plan(checked, settings, size, features, [each.device for each in sharing])
-        warnings = [*checked.warnings, *plan.complaints, *self._unlike()]
+        settings, why = with_schedule(settings, features, plan.method)
+        warnings = [*checked.warnings, *plan.complaints, *why, *self._unlike()]
         tier = choose_tier(features, settings.kernel_tier, self.device)
         if tier.complaint:
             warnings.append(f"kernels are specialised on the scene, not general: {tier.complaint}")
@@ -247,12 +249,10 @@ class Session:
 
     def _unlike(self) -> list[str]:
         """A warning where the devices are not of one model."""
-        other = next((each for each in self.devices if not is_alike(each, self.device)), None)
-        if other is None:
-            return []
         return [
             f"{self.device.alias} ({self.device.name}) and {other.alias} ({other.name}) are of unlike models: each "
             "renders what it comes to, so that the last bits of another render of this picture may differ"
+            for other in [each for each in self.devices if not is_alike(each, self.device)][:1]
         ]
 
     def _prepare(self, job: Job, sharing: Sequence[SessionDevice]) -> list[Place]:

@@ -9,6 +9,7 @@ from ..core.settings.settings import SETTINGS
 
 _NOT_BATCHED = ("batching", {"OFF", "REFERENCE"})
 _NOT_DENOISED = ("denoise", {"OFF"})
+_STREAMING = ("schedule", {"STREAMING"})
 _NOT_ADAPTIVE = ("adaptive_sampling", {"OFF"})
 
 
@@ -35,16 +36,23 @@ _SILENCED_BY: dict[str, tuple[tuple[str, Container], ...]] = {
     "bucket_processors": (
         _NOT_BATCHED,
         ("bucket_selection", {"AUTO", "MOST_FULL", "NEXT", "RANDOM", "ALL", "BALANCED"}),
+        _STREAMING,
     ),
-    "bucket_wait_max": (_NOT_BATCHED,),
-    "queues_per_ray": (_NOT_BATCHED, _CACHED, _IN_TIERS),
-    "treelet_cache": (_NOT_BATCHED,),
-    "treelet_prefetch": (_NOT_BATCHED,),
-    "top_level_traversal": (_NOT_BATCHED,),
+    "bucket_wait_max": (_NOT_BATCHED, _STREAMING),
+    "queues_per_ray": (_NOT_BATCHED, _CACHED, _IN_TIERS, ("top_level_traversal", {"SHORT_SEGMENT"}), _STREAMING),
+    "treelet_cache": (_NOT_BATCHED, _STREAMING),
+    "treelet_prefetch": (_NOT_BATCHED, _STREAMING),
+    "top_level_traversal": (_NOT_BATCHED, _STREAMING),
     "geometry_budget": (_NOT_BATCHED,),
     "geometry_store": (_NOT_BATCHED,),
     **{info.name: (_NOT_BATCHED,) for info in SETTINGS.values() if info.group in ("QUEUES", "TREELETS")},
-    "treelet_tier_bytes": (_NOT_BATCHED, _CACHED),
+    "treelet_tier_bytes": (_NOT_BATCHED, _CACHED, _STREAMING),
+    # queues on the device have their own order, size and checks
+    "queue_size": (_NOT_BATCHED, _STREAMING),
+    "queue_count": (_NOT_BATCHED, _STREAMING),
+    "ray_storage": (_NOT_BATCHED, _STREAMING),
+    **dict.fromkeys(("ray_sort", "hit_sort", "ray_low_water"), (_STREAMING,)),
+    **dict.fromkeys(("single_lane", "register_cap", "block_size", "kernel_tier"), (_STREAMING,)),
 }
 _OF_CUDA = {"top_level_traversal", "register_cap", "block_size"}
 
@@ -55,6 +63,8 @@ def why_unheard(settings: Any, name: str) -> str:
 
     `settings`: `RenderSettings`, or properties named alike.
     """
+    if name == "debug_checks" and settings.schedule == "STREAMING":
+        return ""  # its queues are checked whether rays wait at treelets or not
     for ruling, values in _SILENCED_BY.get(name, ()):
         if getattr(settings, ruling) in values:
             is_given = isinstance(values, _Given)

@@ -54,6 +54,9 @@ def traversal_text(report: dict[str, Any]) -> str:
                     f"hits of {name}, {rays}: {result['disagreements']:,} differ from another's, {result['judged']:,} "
                     f"judged, {result['faults']:,} faults"
                 )
+            if result["bytes_copied"] is not None:
+                brought = result["bytes_copied"]
+                lines.append(f"{name}, {rays}, {order}: {brought / 1e6:,.1f} MB of the tree were brought in")
     return "\n".join(dict.fromkeys(lines))
 
 

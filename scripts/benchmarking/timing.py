@@ -23,11 +23,12 @@ def summary(seconds: Sequence[float]) -> dict[str, Any]:
     return {"seconds": round(statistics.median(seconds), 4), "spread": round(spread(seconds), 3), "runs": len(seconds)}
 
 
-def seconds_of(tasks: Sequence[Callable[[], object]], device: wp.Device) -> float:
+def seconds_of(tasks: Sequence[Callable[[], object]], device: wp.Device, waits: bool = False) -> float:
     """Seconds that `tasks` take: on a CUDA device, one task by the device's own clock; on the CPU, each on a thread of
     its own.
 
-    One CPU thread is timed by its own clock, which stands still while others have its core; several by the wall's.
+    One CPU thread is timed by its own clock, which stands still while others have its core, unless it `waits` for what
+    it needs; that one, and several, by the wall's.
     """
     if device.is_cuda:
         start, end = (wp.Event(device, enable_timing=True) for _ in range(2))
@@ -38,9 +39,10 @@ def seconds_of(tasks: Sequence[Callable[[], object]], device: wp.Device) -> floa
             wp.record_event(end)
         return wp.get_event_elapsed_time(start, end) / 1000
     if len(tasks) == 1:
-        began = time.thread_time()
+        clock = time.perf_counter if waits else time.thread_time
+        began = clock()
         tasks[0]()
-        return time.thread_time() - began
+        return clock() - began
     with ThreadPoolExecutor(len(tasks)) as pool:
         for waiting in [pool.submit(time.sleep, 0.001) for _ in tasks]:  # the threads themselves are not timed
             waiting.result()

@@ -32,6 +32,7 @@ EMBREE = ("embree", "embree-robust")
 WAITING = ("on", "auto", "zero-copy", "zero-copy-triangles", "ray-order")
 TRACERS = ("off", "off-plain", "off-sorted", "reference", *EMBREE)  # what is measured unless said otherwise
 RAY_COUNT = {"cpu": 1_000_000, "cuda": 4_000_000}  # where --ray-count is not given
+WHOLE = ("raycrawler", "breadth-first")  # rivals with a tree of their own
 WARM_UPS = 1  # runs before those that are timed
 
 
@@ -52,6 +53,7 @@ class TraversalRequest:
     counters: bool = True  # report node steps and triangle tests where the tracer can
     nodes_resident: bool | None = None  # whether all nodes stay on the device; None: where they fit well
     budget: int = 0  # bytes of geometry on the device, for tracers that let rays wait; 0: all of it
+    beyond: bool = False  # tracers that visit a tree in memory have no more than the budget there either
     settings: dict[str, Any] = field(
         default_factory=dict
     )  # of the render that the rays are taken from, and of the tree
@@ -72,6 +74,7 @@ def chosen_tracers(
     counts: bool,
     budget: Budget,
     rivals: list[RivalRequest],
+    beyond: bool = False,
 ) -> list[MeasuredTracer]:
     """The tracers called `names`, or all that can be measured on `device`, and `rivals`; raises `UsageError`."""
     for name in names:
@@ -95,7 +98,10 @@ def chosen_tracers(
             )
     if not names:
         names = [name for name in TRACERS if name not in EMBREE or (embree_version() and not device.is_cuda)]
-    trees = SceneTrees(device, settings)
+        names = [name for name in names if not (beyond and name in ("reference", *EMBREE))]
+    if beyond:
+        check_beyond(names, rivals, budget)
+    trees = SceneTrees(device, settings, budget.bytes if beyond else 0)
     makers = {
         "off": lambda: StageTracer("off", trees, device, "OFF", counts=counts),
         "off-plain": lambda: StageTracer("off-plain", trees, device, "OFF", plain=True, counts=counts),
@@ -112,6 +118,15 @@ def chosen_tracers(
     if "zero-copy" in names:  # whole, and with the triangles alone there
         names = [*names, "zero-copy-triangles"]
     return [makers[name]() for name in dict.fromkeys(names)] + make_rivals(rivals, trees, device, settings)
+
+
+def check_beyond(names: list[str], rivals: list[RivalRequest], budget: Budget) -> None:
+    """Raise `UsageError` where a tracer cannot be measured beyond memory, or there is no budget."""
+    if not budget.bytes:
+        raise UsageError("--beyond needs to know how much of the tree is there: give --budget BYTES")
+    whole = {"reference", *EMBREE} & set(names) | {asked.name for asked in rivals if asked.name in WHOLE}
+    if whole:
+        raise UsageError(f"--beyond: {', '.join(sorted(whole))} has its tree in memory only: leave it out")
 
 
 def page_folder() -> Path:
@@ -131,6 +146,7 @@ def measure_traversal(request: TraversalRequest) -> dict[str, Any]:
         request.counters,
         Budget(request.budget, page_folder(), request.nodes_resident),
         request.rivals,
+        request.beyond,
     )
     ray_count = request.ray_count or RAY_COUNT["cuda" if device.is_cuda else "cpu"]
     trace = read_trace(request.rays_file) if request.rays_file else None
@@ -187,6 +203,8 @@ def measure_traversal(request: TraversalRequest) -> dict[str, Any]:
         "triangles": scene.triangle_count,
         "build_s": round(own.build_seconds, 4),
         "bvh_bytes": own.bytes,
+        "budget": request.budget or None,
+        "beyond": request.beyond,
         "trees": {
             name: {"build_s": round(tree.build_seconds, 4), "bvh_bytes": tree.bytes} for name, tree in trees.items()
         },
@@ -231,10 +249,10 @@ def figures(timings: list[Timing], ray_count: int) -> dict[str, Any]:
     traced = [timing.seconds - timing.sort_seconds for timing in timings]
     return {
         "ray_count": ray_count,
-        "mrays_per_s": round(ray_count / statistics.median(seconds) / 1e6, 3),
+        "mrays_per_s": round(ray_count / statistics.median(seconds) / 1e6, 6),
         "spread": round(spread(seconds), 3),
         "runs": len(timings),
-        "mrays_per_s_without_sort": round(ray_count / statistics.median(traced) / 1e6, 3),
+        "mrays_per_s_without_sort": round(ray_count / statistics.median(traced) / 1e6, 6),
         "sort_s": round(statistics.median(timing.sort_seconds for timing in timings), 6),
     }
 

@@ -47,6 +47,7 @@ PARTS = {
     "For researchers": (
         "architecture.md",
         "batching.md",
+        "streaming.md",
         "large-scenes.md",
         "textures-beyond-memory.md",
         "statistics.md",

@@ -18,6 +18,7 @@ from studies import (
     schedulers,
     sequences,
     thesis,
+    top_level,
 )
 from studies.images import environment, image_budgets, textures
 from studies.motion import trees_over_time
@@ -39,6 +40,7 @@ STUDIES: dict[str, Study] = {
         budgets.STUDY,
         trees_over_time.STUDY,
         hardware.STUDY,
+        top_level.STUDY,
         schedulers.STUDY,
         cycles.STUDY,
     )

@@ -1,5 +1,5 @@
-"""Write the tables of docs/experiments/rivals.md from docs/experiments/data/rivals-*.json, reports of
-`scripts/benchmark.py traversal --rival`: python scripts/tables/rivals_table.py [--check]
+"""Write the tables of docs/experiments/rivals.md from docs/experiments/data/rivals-*.json and, with --beyond,
+beyond-*.json, reports of `scripts/benchmark.py traversal --rival`: python scripts/tables/rivals_table.py [--check]
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from tables.marked_text import with_part, write_or_check
 PAGE = FOLDER / "rivals.md"
 CONTROL = "off"
 # what stands in a table beside the rivals, in this order
-OWN = {"off-plain": "off, plain", "off-sorted": "off, sorted", "on": "on"}
+OWN = {"off-plain": "off, plain", "off-sorted": "off, sorted", "on": "on", "ray-order": "ray order"}
 Ratios = dict[str, dict[tuple[str, str, str], float]]  # of rates to the control's, by tracer; by scene, rays and order
 
 
@@ -38,7 +38,7 @@ def kind_of(name: str) -> str:
     return name.partition(":")[0]
 
 
-def _columns(found: Ratios, order: str) -> list[tuple[str, str, str]]:
+def _columns(found: dict[str, dict[tuple[str, str, str], Any]], order: str) -> list[tuple[str, str, str]]:
     kinds = list(RAYS)
     there = {case for by_case in found.values() for case in by_case if case[2] == order}
     return sorted(there, key=lambda case: (case[0], kinds.index(case[1])))
@@ -72,6 +72,21 @@ def all_table(found: Ratios, order: str) -> str:
     return table(["", *_heads(columns)], rows)
 
 
+def beyond_table(reports: dict[str, dict[str, Any]], order: str) -> str:
+    """Rates over that of the control beyond memory, and what was brought in for a ray [KB]."""
+    found: dict[str, dict[tuple[str, str, str], str]] = {}
+    for report in reports.values():
+        for (rays, of, _), by_name in cases(report).items():
+            control = by_name[CONTROL]["mrays_per_s"]
+            for name, result in by_name.items():
+                brought = result["bytes_copied"] / result["ray_count"] / 1e3
+                ratio = _text(result["mrays_per_s"] / control)
+                found.setdefault(name, {})[title(report), rays, of] = f"{ratio} ({brought:.2g})"
+    columns = _columns(found, order)
+    rows = [[OWN.get(name, name), *(by_case.get(case, "") for case in columns)] for name, by_case in found.items()]
+    return table(["", *_heads(columns)], rows)
+
+
 def _text(ratio: float | None) -> str:
     if ratio is None:
         return ""
@@ -86,6 +101,7 @@ def updated(text: str) -> str:
         ("natural", best_table(found, "natural")),
         ("shuffled", best_table(found, "shuffled")),
         ("all", all_table(found, "natural")),
+        ("beyond", beyond_table(load("beyond-*.json"), "natural")),
     ):
         text = with_part(text, f"<!-- {name} -->", f"<!-- end of {name} -->", made, PAGE)
     return text

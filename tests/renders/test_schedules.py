@@ -45,12 +45,31 @@ def test_the_plain_film_shows_something(comparers, name):
 
 
 # What a plain run does not draw, since other kernels would be compiled for it, which take most of its time: those of
-# both tiers it leaves to `test_tiers.py`, and others of tracers to other scenes
+# both tiers it leaves to `test_tiers.py`, those of the other schedule to `streaming`, and others of tracers to other
+# scenes
 FIXED = {
-    "open": {"kernel_tier": "AUTO", "counters": "OFF", "single_lane": "ON", "warp_count": 1},
-    "closed": {"kernel_tier": "AUTO", "counters": "ON", "single_lane": "OFF", "treelet_tier_bytes": 0},
-    "mixed": {"kernel_tier": "AUTO", "counters": "ON", "single_lane": "OFF", "treelet_tier_bytes": 0},
-    "living": {"kernel_tier": "AUTO", "counters": "OFF", "single_lane": "OFF", "treelet_tier_bytes": 0},
+    "open": {"schedule": "WAVEFRONT", "kernel_tier": "AUTO", "counters": "OFF", "single_lane": "ON", "warp_count": 1},
+    "closed": {
+        "schedule": "WAVEFRONT",
+        "kernel_tier": "AUTO",
+        "counters": "ON",
+        "single_lane": "OFF",
+        "treelet_tier_bytes": 0,
+    },
+    "mixed": {
+        "schedule": "WAVEFRONT",
+        "kernel_tier": "AUTO",
+        "counters": "ON",
+        "single_lane": "OFF",
+        "treelet_tier_bytes": 0,
+    },
+    "living": {
+        "schedule": "WAVEFRONT",
+        "kernel_tier": "AUTO",
+        "counters": "OFF",
+        "single_lane": "OFF",
+        "treelet_tier_bytes": 0,
+    },
 }
 
 
@@ -184,6 +203,8 @@ def test_the_script_finds_nothing_where_all_is_well(saved, device, capfd):
         5,
         "--set",
         "kernel_tier=AUTO",
+        "--set",
+        "schedule=WAVEFRONT",
     )
     assert code == 0 and report["faults"] == 0 and report["compared"] == 8 and report["seed"] == 5
     assert [scene["frame"] for scene in report["scenes"]] == [[12, 9]] * 2
@@ -220,6 +241,8 @@ def test_the_script_reports_what_differs(saved, device, capfd, monkeypatch):
         "batching=ON",
         "--set",
         "geometry_budget=0",
+        "--set",
+        "schedule=WAVEFRONT",
     )
     code, report, reported = run(capfd, *options)
     assert code == 1 and report["faults"] == 3 and report["scenes"][0]["faults"][0]["simplest"] == {"batching": "ON"}

@@ -126,7 +126,7 @@ class NotedBench:
 
 
 # Studies that measure other things than errors of renders, or do so by others
-NOT_RENDERED = ("cycles", "textures", "trees-over-time", "many-workers", "hardware", "schedulers")
+NOT_RENDERED = ("cycles", "textures", "trees-over-time", "many-workers", "hardware", "top-level", "schedulers")
 
 
 @pytest.mark.parametrize("name", [name for name in STUDIES if name not in NOT_RENDERED])

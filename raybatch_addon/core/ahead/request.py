@@ -49,6 +49,10 @@ class CompileRequest:
     def kernels(self, device: wp.Device) -> list[wp.Kernel]:
         """All of them, but for those that build trees."""
         tracing = Tracing.of(self.plan, layout_for(device), self.features)
+        if self.settings.schedule == "STREAMING":
+            from ..wavefront.streaming.kernel import stream_kernels  # other renders import none of it
+
+            return stream_kernels(self.features, tracing)
         stages = StageKernels.choose(self.features, device, self.shading)
         return stages.all() + tracing_kernels(self.features, self.settings, tracing, device)
 

@@ -75,8 +75,9 @@ class Treelets:
 class TopProgress:
     """How far rays have come through the top level, by ray slot: enough to go on behind a treelet.
 
-    A trail says, level by level from the root, which child of a resident node the ray is in (`TRAIL_LEVELS`). What it
-    has met so far is in `Rays`: `hit_t`, `hit_uv`, the triangle in `hit_primitive` (-1: none) and its entry in
+    A trail says, level by level from the root, which child of a resident node the ray is in (`TRAIL_LEVELS`), down to
+    the treelet that it stopped at; or, with a mark in the last word, down to the node that it visits next. What it has
+    met so far is in `Rays`: `hit_t`, `hit_uv`, the triangle in `hit_primitive` (-1: none) and its entry in
     `hit_instance`.
     """
 

@@ -17,10 +17,12 @@ def call(name, *arguments):
         errors = importlib.import_module(f"{library}.errors")
         try:
             return getattr(work, name)(*arguments)
-        except (errors.DeviceError, errors.OutOfMemoryError) as error:
-            raise OSError(" ".join(str(error).split())) from None
         except errors.RayBatchError as error:
-            return {"error": type(error).__name__, "text": " ".join(str(error).split())}
+            text = " ".join(str(error).split())
+            machines = isinstance(error, (errors.DeviceError, errors.OutOfMemoryError))
+            if machines and not isinstance(error, errors.BudgetError):
+                raise OSError(text) from None
+            return {"error": type(error).__name__, "text": text}
     raise ModuleNotFoundError("RayBatch is not installed on this worker: pip install raybatch[cluster]")
 
 

@@ -14,7 +14,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from ..errors import OutOfMemoryError
+from ..errors import BudgetError
 from ..host_memory import size_text
 from ..scene.description import Image, Scene
 from ..scene.notice import Notice, Weight
@@ -53,7 +53,7 @@ def tiled_scene(scene: Scene, budget: int | None, slot_bytes: int, is_asked: boo
     device (None: no limit), as far as surfaces alone look them up; what nobody looks up has no pixels. Where all fit it
     is as it was.
 
-    `is_asked`: the budget is that of the setting; then it raises `OutOfMemoryError` where images that have to be whole
+    `is_asked`: the budget is that of the setting; then it raises `BudgetError` where images that have to be whole
     take more. Else these are named by a warning, and are made smaller.
     """
     if budget is None or device_bytes_of(scene.images) <= budget:
@@ -67,7 +67,7 @@ def tiled_scene(scene: Scene, budget: int | None, slot_bytes: int, is_asked: boo
     if rest > budget:
         names = _named(scene, held)
         if is_asked:
-            raise OutOfMemoryError(
+            raise BudgetError(
                 f"texture_budget is {budget:,} bytes, and this scene needs {rest:,} at least, for images that cannot "
                 f"be fetched tile by tile ({names}); raise it, or set it to 0"
             )

@@ -29,6 +29,22 @@ class TracingSettings:
             ("REFERENCE", "Reference", "As off, with Warp's own tree: what the others are measured against"),
         ),
     )
+    schedule: str = setting(
+        "WAVEFRONT",
+        "Schedule",
+        "Who decides what is done next",
+        group="BATCHING",
+        effect="schedule",
+        choices=(
+            ("WAVEFRONT", "Wavefront", "The host: each stage is done for all rays that are ready for it, in turn"),
+            (
+                "STREAMING",
+                "Streaming",
+                "The device: one kernel, in which each warp takes the next work from queues of all stages. It is "
+                "compiled for each scene; what it cannot render takes Wavefront, and the report says why",
+            ),
+        ),
+    )
     ray_sort: str = setting(
         "AUTO",
         "Sort Rays",
@@ -253,6 +269,17 @@ class SchedulerSettings:
         choices=(
             ("NAIVE", "Naive", "A lane takes the next ray as soon as its own is through"),
             ("INTERLOCKED", "Interlocked", "Lanes take new rays together, when all of their rays are through"),
+            (
+                "SHORT_SEGMENT",
+                "Short Segment",
+                "All rays of a warp visit the same nodes until one enters a treelet: there all of them wait, those "
+                "that do not enter behind it",
+            ),
+            (
+                "LONG_HAUL",
+                "Long Haul",
+                "All rays of a warp visit the same nodes, and those that come to a treelet make room for others",
+            ),
         ),
     )
 

@@ -45,6 +45,8 @@ TAIL_SHARE = 0.125  # of the slots: below it, without paths to come, turns do li
 class TileIntegrator:
     """One worker: its rays, queues and the loop that moves them."""
 
+    traces_lists = True  # its tracer gets lists of rays
+
     def __init__(
         self, scene: DeviceScene, frame: Frame, settings: RenderSettings, marks: WaterMarks, tile_slots: int = 0
     ):
@@ -79,16 +81,10 @@ class TileIntegrator:
         self.textures = TileFetcher(scene, count, tile_slots, self._timer) if tile_slots else None
         self._data = self.textures.data if self.textures else scene.data
         self._tracer: Tracer | None = None  # there is nothing to hit
-        if scene.tree:
+        if scene.tree and self.traces_lists:
+            counts, order = self._counters if self._counts_steps else None, self._order
             self._tracer = make_tracer(
-                scene,
-                self._rays,
-                count,
-                self._shadow_kind,
-                settings,
-                counters=self._counters if self._counts_steps else None,
-                timer=self._timer,
-                order=self._order,
+                scene, self._rays, count, self._shadow_kind, settings, counters=counts, timer=self._timer, order=order
             )
         self._cost: wp.array | None = None
         self._mattes = Mattes()  # of the tile, beside those in its slots
@@ -125,6 +121,7 @@ class TileIntegrator:
         those under way are brought to their end.
         """
         work, film = self._begin_tile(state, sample_first, sample_count)
+        self._free = self._lists.all_free(self._paths.status)
         items = min(state.pixel_count * sample_count, state.items_begun + most)
         done, stopped_at, tail_from = 0, None, None
         while True:
@@ -144,6 +141,9 @@ class TileIntegrator:
             if self.patience > 0.0 or not stop():  # else paths are given up, whatever came back
                 self._shade(work, film, min(back, self._alive))
                 done += self._finish_paths(work, film, stopped_at is None and state.items_begun < items)
+        return self._end_tile(state, film, done, tail_from)
+
+    def _end_tile(self, state: TileState, film: FilmTile, done: int, tail_from: float | None) -> FinishedTile:
         tile = state.tile
         if state.half:
             # the first sample of the other half decides
@@ -184,7 +184,6 @@ class TileIntegrator:
         work.pixel_first = int(self._settings.sample_order == "PIXEL_FIRST")
         # numbers of paths are of all pixels, and those of pixels that go on begin at no item of theirs
         work.item_base = state.items_begun if state.active is None else 0
-        self._free = self._lists.all_free(self._paths.status)
         self._limits = self._half_limits[state.half]
         held = state.held
         self._mattes = held.mattes if held else Mattes()

@@ -140,7 +140,7 @@ def _shading_kernels(
     """
     aim = narrow(shading, AimFeatures)
     in_one = None if aims_apart or not shading.shadow_rays else aim
-    whole = _stage_functions(shading, in_one)
+    whole = stage_functions(shading, in_one)
     if not shading.programs.apart:
         return {stage: stage_kernel(whole[stage](), stage, out_of_line) for stage in stages}
     any_program = bool(features.programs or features.world_program or features.lamp_program)
@@ -159,13 +159,13 @@ def _shading_kernels(
     needed = shading if wide else plain_features(shading)
     if in_one is not None:
         in_one = narrow(needed, AimFeatures)
-    simple = _stage_functions(without_programs(needed), in_one, shading.world_light)
-    simple[ShadingStage.AIM] = _stage_functions(needed, None)[ShadingStage.AIM]
+    simple = stage_functions(without_programs(needed), in_one, shading.world_light)
+    simple[ShadingStage.AIM] = stage_functions(needed, None)[ShadingStage.AIM]
     if aims_apart:  # where light is not aimed at, programs of world and lamps are not run, but how they count is known
         weighing = dataclasses.replace(
             without_programs(needed), world_light=shading.world_light, lamp_program=shading.lamp_program
         )
-        simple[ShadingStage.SURFACE] = _stage_functions(weighing, None)[ShadingStage.SURFACE]
+        simple[ShadingStage.SURFACE] = stage_functions(weighing, None)[ShadingStage.SURFACE]
     has_simple = aims_apart or not wide
     found = {
         stage: stage_kernel(simple[stage](), stage, out_of_line=stage == ShadingStage.SURFACE)
@@ -176,10 +176,10 @@ def _shading_kernels(
         # most of the time of a render is here, so what such a scene lacks is left out of this stage
         common = common_features(shading)
         aim = None if aims_apart else narrow(common, AimFeatures)
-        function = _stage_functions(common, aim)[ShadingStage.SURFACE]()
+        function = stage_functions(common, aim)[ShadingStage.SURFACE]()
         found[ShadingStage.SURFACE] = stage_kernel(function, ShadingStage.SURFACE, out_of_line=True)
     if ShadingStage.OCCLUSION in stages and not shading.occlusion_pass:
-        occlusion = _stage_functions(features, None)[ShadingStage.OCCLUSION]()
+        occlusion = stage_functions(features, None)[ShadingStage.OCCLUSION]()
         found[ShadingStage.OCCLUSION] = stage_kernel(occlusion, ShadingStage.OCCLUSION)
     if len(found) < len(stages):
         has = {ShadingStage.REQUEST: shading.requests, ShadingStage.OCCLUSION: shading.occlusion_pass}
@@ -276,7 +276,7 @@ def without_programs(features: SceneFeatures) -> SceneFeatures:
     )
 
 
-def _stage_functions(
+def stage_functions(
     shading: SceneFeatures, aims: AimFeatures | None, world_light: bool | None = None
 ) -> dict[ShadingStage, Callable[[], wp.Function]]:
     """What makes the functions of stages that are specialised on `shading`.

@@ -16,7 +16,7 @@ from benchmarking.rays import CapturedRays
 from benchmarking.scenes import BenchmarkScene
 from benchmarking.timing import seconds_of
 from benchmarking.tracers.interface import Hits, MeasuredTracer, Timing, Tree
-from benchmarking.tracers.stages import SceneTrees, StageTracer, hits_of, slot_list, upload_rays
+from benchmarking.tracers.stages import SceneTrees, StageTracer, hits_of, slot_list, upload_rays, with_nodes
 from raybatch_addon.core.bvh.build.scene_tree import layout_for
 from raybatch_addon.core.bvh.memory import GeometrySize
 from raybatch_addon.core.bvh.pages.build import build_paged_scene
@@ -46,12 +46,10 @@ class ZeroCopyTracer(StageTracer):
     def build(self, scene: BenchmarkScene) -> Tree:
         reported = super().build(scene)
         tree = self._built.tree
-        pinned = type(tree)()
-        for field in tree._cls.vars:
-            setattr(pinned, field, getattr(tree, field))
-        for field in ("triangles",) if self._triangles_only else ("nodes", "triangles"):
-            array = getattr(tree, field)
-            setattr(pinned, field, host_array(array.numpy(), array.dtype, self._device))
+        nodes, triangles = (
+            host_array(array.numpy(), array.dtype, self._device) for array in (tree.nodes, tree.triangles)
+        )
+        pinned = with_nodes(tree, tree.nodes if self._triangles_only else nodes, triangles)
         self._built = dataclasses.replace(self._built, tree=pinned, keep=(self._built.keep, pinned))
         return reported
 

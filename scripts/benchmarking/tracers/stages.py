@@ -12,6 +12,7 @@ import warp as wp
 from benchmarking.rays import CapturedRays
 from benchmarking.scenes import BenchmarkScene
 from benchmarking.timing import seconds_of, slices
+from benchmarking.tracers.fault_memory import FaultMemory
 from benchmarking.tracers.interface import Hits, MeasuredTracer, Timing, Tree
 from raybatch_addon.core.bvh.build.scene_tree import build_scene_tree, layout_for, splits_triangles
 from raybatch_addon.core.bvh.traverse.counts import LANE_PARTS, counts_of
@@ -19,7 +20,7 @@ from raybatch_addon.core.bvh.traverse.options import TraceOptions
 from raybatch_addon.core.bvh.traverse.reference import build_reference
 from raybatch_addon.core.device.devices import load_kernels
 from raybatch_addon.core.rays import RayList, Rays
-from raybatch_addon.core.scene.geometry import upload_geometry
+from raybatch_addon.core.scene.geometry import host_array, upload_geometry
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.order.ray_sort import RaySorter, sort_kernel
 from raybatch_addon.core.wavefront.rays import allocate_rays
@@ -33,13 +34,27 @@ class BuiltScene:
     tree: Any  # what kernels take
     reported: Tree
     keep: Any
+    nodes: wp.array | None = None  # the tree's, in memory: what hosts read (own trees)
+
+
+def with_nodes(tree: Any, nodes: wp.array, triangles: wp.array) -> Any:
+    """A copy of `tree` whose nodes and triangles lie elsewhere."""
+    moved = type(tree)()
+    for name in tree._cls.vars:
+        setattr(moved, name, getattr(tree, name))
+    moved.nodes, moved.triangles = nodes, triangles
+    return moved
 
 
 class SceneTrees:
     """Trees by kind, each built once for all tracers that visit it."""
 
-    def __init__(self, device: wp.Device, settings: RenderSettings):
-        self._device, self._settings = device, settings
+    def __init__(self, device: wp.Device, settings: RenderSettings, beyond: int = 0):
+        """`beyond`: nodes and triangles are beyond memory, all in the host's memory, which a CUDA device reads through
+        the bus, or on the CPU so many bytes of them there at a time; 0: all are in memory.
+        """
+        self._device, self._settings, self.beyond = device, settings, beyond
+        self.faults: FaultMemory | None = None  # where nodes and triangles lie, of a CPU beyond memory
         self._built: dict[str, BuiltScene] = {}
         self.paged: Any = None  # what is kept beyond memory, shared by the tracers that bring it in
 
@@ -64,7 +79,17 @@ class SceneTrees:
             splits,
         )
         wp.synchronize_device(self._device)
-        return BuiltScene(built.tree, Tree(time.perf_counter() - start, built.statistics["bytes"]), (built, geometry))
+        reported = Tree(time.perf_counter() - start, built.statistics["bytes"])
+        tree = self._moved(built.tree) if self.beyond else built.tree
+        return BuiltScene(tree, reported, (built, geometry, tree), built.tree.nodes)
+
+    def _moved(self, tree: Any) -> Any:
+        if self._device.is_cuda:
+            moved = [host_array(array.numpy(), array.dtype, self._device) for array in (tree.nodes, tree.triangles)]
+        else:
+            self.faults = FaultMemory([tree.nodes, tree.triangles], self.beyond)
+            moved = self.faults.arrays
+        return with_nodes(tree, *moved)
 
     def _reference(self, scene: BenchmarkScene) -> BuiltScene:
         wp.synchronize_device(self._device)
@@ -142,11 +167,16 @@ class StageTracer(MeasuredTracer):
             self._parts.append(_Part(self._stage(self._any_hit), slot_list(part, self._device), sorter))
 
     def trace(self) -> Timing:
-        sort_seconds = 0.0
+        sort_seconds, before = 0.0, self._bytes_brought()
         if self._sorts:
             sort_seconds = seconds_of([lambda part=part: self._sort(part) for part in self._parts], self._device)
-        seconds = seconds_of([lambda part=part: self._launch(part) for part in self._parts], self._device)
+        waits = self._trees.beyond > 0
+        seconds = seconds_of([lambda part=part: self._launch(part) for part in self._parts], self._device, waits)
+        self._brought = self._bytes_brought() - before
         return Timing(sort_seconds + seconds, sort_seconds)
+
+    def _bytes_brought(self) -> int:
+        return self._trees.faults.bytes_brought if self._trees.faults else 0
 
     def _sort(self, part: _Part) -> None:
         part.in_order = part.sorter.sort(self._rays, part.listed)
@@ -158,8 +188,9 @@ class StageTracer(MeasuredTracer):
         return hits_of(self._rays, self._any_hit)
 
     def work(self) -> dict[str, Any]:
+        brought = {"bytes_copied": self._brought} if self._trees.faults else {}
         if not self._counts:
-            return super().work()
+            return super().work() | brought
         stage, count = self._stage(self._any_hit, counters=True), len(self._rays.t_max)
         reported = counts_of(count, self._device)
         for part in self._parts:
@@ -174,7 +205,7 @@ class StageTracer(MeasuredTracer):
             for name, (busy, there) in zip(LANE_PARTS, lanes.tolist(), strict=True)
             if there
         }
-        return super().work() | found | {"lanes_active": shares if self._device.is_cuda else None}
+        return super().work() | brought | found | {"lanes_active": shares if self._device.is_cuda else None}
 
 
 def hits_of(rays: Rays, any_hit: bool) -> Hits:

@@ -96,6 +96,12 @@ def add_commands(
         help="geometry on the device at most, such as 1.5G, for on, auto and ray-order (default: all of it)",
     )
     traversal.add_argument(
+        "--beyond",
+        action="store_true",
+        help="with --budget: off and rivals have no more there either: on the CPU pages of 64 KiB, which come when a "
+        "ray runs into them, while the oldest go; on CUDA nothing, all is read from the host's memory",
+    )
+    traversal.add_argument(
         "--nodes",
         choices=("resident", "paged"),
         help="with --budget: whether all nodes stay on the device (default: where they fit well)",
@@ -219,6 +225,7 @@ def _traversal(options: argparse.Namespace, changes: dict[str, Any]) -> tuple[di
         counters=not options.no_counters,
         nodes_resident={None: None, "resident": True, "paged": False}[options.nodes],
         budget=parse_setting("geometry_budget", options.budget),
+        beyond=options.beyond,
         settings=changes,
     )
     report = measure_traversal(traced)

@@ -111,8 +111,11 @@ def _checked(report: Report) -> str:
     return table(["rays", "number", "bytes of a ray from the L2", "from memory", "hits of the L1"], lines)
 
 
+RATIO_TICKS = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20)
+
+
 def draw(reports: dict[str, Report], folder: Path) -> None:
-    """Bytes from memory over those of plain, by policy, of bounce4 with the small cache."""
+    """Bytes from memory and from the L2 over those of plain, by policy, of bounce4 with the small cache."""
     from studies import plots
 
     rows = found(reports.get("cpu") or next(iter(reports.values())))
@@ -127,6 +130,10 @@ def draw(reports: dict[str, Report], folder: Path) -> None:
             axis.barh(places, values, height=0.25, color=plots.COLORS[i], label=scene)
         axis.axvline(1.0, color="#888888", linewidth=0.8)
         axis.set_xscale("log")
+        low, high = axis.get_xlim()
+        ticks = [tick for tick in RATIO_TICKS if low <= tick <= high]
+        axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        axis.minorticks_off()
         axis.set_xlabel(f"bytes from {title} over those of plain, bounce4")
         axis.set_yticks(range(len(names)), names if of is from_memory else [""] * len(names), fontsize=6)
         axis.invert_yaxis()

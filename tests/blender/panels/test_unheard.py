@@ -28,6 +28,7 @@ RULED = [
     ({"batching": "REFERENCE"}, ("geometry_budget", "geometry_store"), "Unused with Batching Reference"),
     ({"treelet_cache": 2**20}, ("queues_per_ray", "treelet_tier_bytes"), "Unused with Cached"),
     ({"treelet_tier_bytes": 2**20}, ("queues_per_ray",), "Unused with Large Treelets"),
+    ({"top_level_traversal": "SHORT_SEGMENT"}, ("queues_per_ray",), "Unused with Top Level Short Segment"),
     ({"queues_per_ray": 2}, ("ray_storage",), "Unused with Queues a Ray 2"),
     ({"device": "cpu"}, ("top_level_traversal", "register_cap", "block_size"), "Unused on the CPU"),
     ({"device": "cuda:0, cuda:1"}, ("thread_count",), "Unused without the CPU"),

@@ -22,7 +22,7 @@ from raybatch_addon.core.cluster import calls, films, work
 from raybatch_addon.core.cluster import connection as connection_module
 from raybatch_addon.core.cluster.connection import ClusterError, Connection, is_diagnosed, why_lost
 from raybatch_addon.core.cluster.session import ClusterSession
-from raybatch_addon.core.errors import DeviceError, SettingsError
+from raybatch_addon.core.errors import BudgetError, DeviceError, SettingsError
 from tests.core.cluster.clusters import SETTINGS, cut_into, wait_for
 from tests.support import scenes
 from tests.support.under_test import DEVICE
@@ -252,6 +252,7 @@ def test_an_error_of_a_machine_is_told_from_one_of_the_scene(monkeypatch):
     future.exception = lambda: OSError(28, "No space left on device")
     assert not is_diagnosed(future) and why_lost(future) == "OSError: [Errno 28] No space left on device"
     assert calls.call("lacks", SettingsError("no such value")) == {"error": "SettingsError", "text": "no such value"}
+    assert calls.call("lacks", BudgetError("raise it")) == {"error": "BudgetError", "text": "raise it"}
 
 
 def test_what_cannot_be_kept_is_an_error(connection, monkeypatch):

@@ -150,7 +150,7 @@ def test_any_schedule_gives_the_same_film(session, transparent, examples):
     shown = comparer.plain.passes[CATCHER_PASS]
     assert shown.std() > 0.05 and comparer.plain.passes["CryptoObject00"].any()
     for number in range(examples(24) // 2):
-        found = comparer.compare_drawn(SeededDraws(number))
+        found = comparer.compare_drawn(SeededDraws(number), {"schedule": "WAVEFRONT"})
         assert not found.differs, (number, found.differs, comparer.simplest(found))
 
 

@@ -28,13 +28,14 @@ def test_the_notebook_runs_from_top_to_bottom(monkeypatch, capsys):
     code = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
     for old in SMALLER:
         assert any(old in each for each in code), f"the notebook has no {old} any more"
+    assert sum(bool(line.strip()) for source in code for line in source.splitlines()) <= 30, "it is to stay short"
     names: dict = {}
     for source in code:
         for old, new in SMALLER.items():
             source = source.replace(old, new)
         exec(compile(source, NOTEBOOK.name, "exec"), names)
-    assert (names["OUT"] / "rays-alive.png").stat().st_size > 0
-    assert {result["faults"] for result in names["results"]} == {0}
+    assert (names["out"] / "rays-alive.png").stat().st_size > 0
+    assert {result["faults"] for result in names["results"]} == {0} and len(names["results"]) == 9
     assert len(names["rows"]) == 4 and len({row["film"] for row in names["rows"]}) == 1
     assert "equal bit for bit" in capsys.readouterr().out
 

@@ -33,3 +33,15 @@ def test_the_best_parameters_stand_beside_the_control_of_their_own_run():
         "| `packet:rays=16` | 0.50 | 0.50 |",
     ]
     assert rivals_table.best_table(found, "shuffled").splitlines()[2:] == []
+
+
+def test_beyond_memory_a_cell_has_the_rate_and_what_was_brought_in():
+    reported = report("a.npz", {"off": 4.0, "on": 10.0})
+    for result, brought in zip(reported["results"], (8e6, 5e5), strict=True):
+        result |= {"bytes_copied": brought, "ray_count": 1000}
+    assert rivals_table.beyond_table({"a": reported}, "natural").splitlines() == [
+        "|  | A, camera |",
+        "| --- | --- |",
+        "| off | 1.00 (8) |",
+        "| on | **2.50** (0.5) |",
+    ]

@@ -18,7 +18,7 @@ import numpy as np
 import warp as wp
 
 from ...device.devices import copy_stream
-from ...errors import OutOfMemoryError
+from ...errors import BudgetError
 from .paged_scene import PagedScene
 from .store import bytes_of_rows, padded, page_buffer
 
@@ -82,13 +82,13 @@ def staging_bytes_of(scene: PagedScene, slots: int, device: wp.Device) -> int:
 
 
 def slots_in(scene: PagedScene, budget: int, device: wp.Device) -> int:
-    """Pages that fit in `budget` bytes beside what stays on the device, at most all; raises `OutOfMemoryError` for
+    """Pages that fit in `budget` bytes beside what stays on the device, at most all; raises `BudgetError` for
     none.
     """
     size = slot_bytes_of(scene)
     least = scene.resident_bytes + size + staging_bytes_of(scene, 1, device)
     if budget < least:
-        raise OutOfMemoryError(
+        raise BudgetError(
             f"geometry_budget is {budget:,} bytes, and this scene needs {least:,} at least ({scene.resident_bytes:,} "
             "that always stay on "
             f"the device, and one page); raise it, or set it to 0"

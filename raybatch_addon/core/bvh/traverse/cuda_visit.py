@@ -9,6 +9,26 @@ along the trail: at each node what comes after its way is put on the stack, if i
 far.
 
 A treelet's root is always there. Rays visit it before they stop, and do not stop if none of its children is met.
+
+The top level has four ways (`TopLevelTraversal`). NAIVE and INTERLOCKED let each lane go its own way. SHORT_SEGMENT and
+LONG_HAUL (section 6.1 of the thesis) make all lanes of a warp that visit a node in a turn visit the same one. What the
+thesis leaves open is chosen so:
+
+- Where rays part at an inner node, and which child comes first where their octants differ: each ray keeps the order of
+  its own octant, so that it comes to the same treelets, from near to far, as alone. The warp elects, of the nodes that
+  its rays want next, the one furthest down, and of those the one that most of them want. So it goes through what its
+  rays want depth first, and rays that parted meet again. Other elections (most rays first, nearest to the root first,
+  first those that are on the way down their trails) made warps read more nodes (docs/studies/top-level.md).
+- A ray that does not want the node *sulks*: its lane waits, and does not test boxes that it cannot meet. It is carried
+  along for nothing, but its own place in its own order stays exact.
+- A bucket is met where a ray enters: one whose box is met, but none of whose root's children, is passed.
+- SHORT_SEGMENT: when a ray enters a treelet, the segment of the whole warp ends. Others of its rays wait in the exit
+  queue of that treelet, which they need not have come to: their trail ends where they are, with a mark
+  (`together/cut.h`), and they go on from there. To move them on to the treelet itself, as the thesis has it, would pass
+  over what comes before it in their own order. Rays on the way down a trail keep that trail.
+- LONG_HAUL: a ray that enters a treelet is replaced at once, by the next of the batch. Batches have the rays of a queue
+  side by side, so that the next one left the same treelet, or the one behind it. It starts at the root, as any, and the
+  warp comes to it when it is through with the branch it is in.
 """
 
 from __future__ import annotations
@@ -20,7 +40,7 @@ import warp as wp
 
 from ...native.build import native_source
 from ...rays import DeviceRayList, Rays
-from ..tree import DONE, TRAIL_LEVELS, TopProgress, Tree, Treelets
+from ..tree import DONE, NEW, TRAIL_LEVELS, TopProgress, Tree, Treelets
 from .counts import TraceCounts
 from .cuda import NODE_HEADERS, STACK_MESH, lane_headers, quantised_defines
 from .motion import motion_headers
@@ -30,9 +50,19 @@ from .task import task_defines
 
 def quantised_visit_source(options: VisitOptions) -> str:
     """The body of the native function for `options`."""
-    if options.takes_together:
-        options = replace(options, refill=32)
+    if options.takes_together or options.replaces_at_once:
+        options = replace(options, refill=1 if options.replaces_at_once else 32)
     levels = 2 * STACK_MESH if options.instancing else STACK_MESH  # of trees that the stack is made for
+    loop, defines = ("traverse/quantised/loop.h",), {}
+    if options.in_turns:
+        cut = ("traverse/quantised/together/cut.h",) if options.writes_queues else ()
+        loop = ("traverse/quantised/together/warp.h", *cut, "traverse/quantised/together/loop.h")
+        defines = {
+            "LANES": options.lanes,
+            "NEW": NEW,
+            "ELECTS": options.top_level.elects,
+            "SHORT_SEGMENTS": options.writes_queues,
+        }
     rays = "traverse/quantised/visit_rays.h"
     return native_source(
         *motion_headers(options),
@@ -41,7 +71,7 @@ def quantised_visit_source(options: VisitOptions) -> str:
         *lane_headers(options),
         *(("traverse/quantised/tiers_names.h", rays, "traverse/quantised/tiers.h") if options.tiers else (rays,)),
         "traverse/quantised/visit_steps.h",
-        "traverse/quantised/loop.h",
+        *loop,
         "traverse/quantised/visit_end.h",
         EVERY_TRIANGLE=False,
         DONE=DONE,
@@ -49,6 +79,7 @@ def quantised_visit_source(options: VisitOptions) -> str:
         TRAIL_LEVELS=TRAIL_LEVELS,
         **task_defines(options.task),
         **quantised_defines(options),
+        **defines,
     )
 
 

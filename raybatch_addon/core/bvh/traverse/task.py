@@ -6,7 +6,9 @@ from enum import Enum
 
 
 class VisitTask(Enum):
-    """One launch over a list of rays. A ray's *location* is `NEW`, `DONE`, or the treelet at which it waits."""
+    """One launch over a list of rays. A ray's *location* is `NEW`, `DONE`, or the treelet at which it waits; or where a
+    task says so, the queue that it goes to (`VisitOptions.writes_queues`).
+    """
 
     TOP = "top"
     """New rays begin at the root, others go on behind the treelet that they wait at, until they come to one or are

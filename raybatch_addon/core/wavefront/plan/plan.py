@@ -70,8 +70,10 @@ def report_of(choices: dict[str, Choice]) -> dict[str, dict[str, Any]]:
 
 
 def has_tiers(settings: RenderSettings) -> bool:
-    """Whether treelets are in large ones; with a cache, rays go on through all that it holds."""
-    return settings.treelet_tier_bytes > 0 and not settings.treelet_cache
+    """Whether treelets are in large ones. With a cache, rays go on through all that it holds; the schedule STREAMING
+    has queues at treelets alone.
+    """
+    return settings.treelet_tier_bytes > 0 and not settings.treelet_cache and settings.schedule != "STREAMING"
 
 
 def cut_rule(plan: TracingPlan, settings: RenderSettings) -> CutRule:

@@ -39,7 +39,8 @@ class Tracing:
     def sort_mode(self, settings: RenderSettings) -> str:
         """The setting `ray_sort` as far as it is of use: OFF where rays are never sorted. Queues keep the order in
         which rays come, and measure nothing; of rays that wait for pages the order is that of their slots."""
-        if self.method is Method.PAGED or (self.waits and settings.ray_sort == "AUTO"):
+        streams = settings.schedule == "STREAMING"  # each ray goes its way
+        if streams or self.method is Method.PAGED or (self.waits and settings.ray_sort == "AUTO"):
             return "OFF"
         return settings.ray_sort
 

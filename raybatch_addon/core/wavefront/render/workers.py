@@ -125,7 +125,7 @@ def make_workers(
         try:
             marks = water_marks(settings, count)
             made.worker_bytes = count * each + tile_bytes + sorting + SPILL_BYTES
-            made.integrators = [TileIntegrator(scene, frame, settings, marks, slots) for _ in range(workers)]
+            made.integrators = [worker_class(settings)(scene, frame, settings, marks, slots) for _ in range(workers)]
             break
         except (MemoryError, RuntimeError) as error:
             if count == 1 or not ("memory" in str(error).lower() or isinstance(error, MemoryError)):
@@ -153,6 +153,15 @@ def make_workers(
     elif fewer := fewer_alive(settings.ray_count, workers, areas, sample_count):
         made.warnings.append(fewer)
     return made
+
+
+def worker_class(settings: RenderSettings) -> type[TileIntegrator]:
+    """What workers are, by the setting `schedule`."""
+    if settings.schedule == "STREAMING":
+        from ..streaming.integrator import StreamingIntegrator  # other renders import none of it
+
+        return StreamingIntegrator
+    return TileIntegrator
 
 
 def fewer_alive(ray_count: int, workers: int, areas: Sequence[int], sample_count: int) -> str | None:

@@ -249,6 +249,8 @@ class DeviceScene:
 
     def hits_sorted_by(self, settings: RenderSettings) -> HitKey | None:
         """By what hits are sorted before they are shaded; None: not at all."""
+        if settings.schedule == "STREAMING":
+            return None
         if self.geometry_on_host:
             return HitKey.TRIANGLE
         return HitKey.MATERIAL if self.hit_bins > 1 and sorts_materials(settings.hit_sort, self.device) else None

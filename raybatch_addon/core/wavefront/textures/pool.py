@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ...errors import OutOfMemoryError
+from ...errors import BudgetError
 from ...native.structs import record_type, upload_records
 from ...shading.images.textures import ImageEntry, ImageTable
 from ...shading.images.tiled.look_up import MARKS, PINNED, WANTED
@@ -72,13 +72,13 @@ class TileTotals:
 
 def tile_slots_of(source: TileSource, budget: int, whole: int, workers: int, least: int) -> int:
     """Slots of each of `workers`, of `budget` bytes for all of them and for `whole` bytes of images that are not in
-    tiles; at most one for each tile. Raises `OutOfMemoryError` where they are fewer than `least`, which one path may
+    tiles; at most one for each tile. Raises `BudgetError` where they are fewer than `least`, which one path may
     need at once.
     """
     least = min(least, source.tile_count)
     slots = min(max(budget - whole, 0) // workers // source.slot_bytes, source.tile_count)
     if slots < least:
-        raise OutOfMemoryError(
+        raise BudgetError(
             f"texture_budget is {budget:,} bytes, and this scene needs {whole + least * workers * source.slot_bytes:,} "
             f"at least: {whole:,} for images that are not in tiles, and for each of {workers} workers {least} tiles of "
             f"{source.slot_bytes:,}, which one path may read at once; raise it, or lower texture_tile_size or "

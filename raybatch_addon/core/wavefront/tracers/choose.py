@@ -46,6 +46,10 @@ def tracer_kernels(
 
 def tracer_bytes_per_path(scene: DeviceScene, settings: RenderSettings, path_count: int) -> int:
     """Device memory that the tracer takes for each of `path_count` paths alive [bytes]."""
+    if settings.schedule == "STREAMING":
+        from ..streaming.queues import stream_bytes_per_path  # other renders import none of it
+
+        return stream_bytes_per_path(path_count, scene.shadow_rays, scene.treelets)
     if scene.treelets:
         tracing = scene.tracing
         return batching_bytes_per_path(

@@ -27,6 +27,7 @@ class VisitStage(Protocol):
     """One task for batches of rays of all kinds and bounces."""
 
     kernels: tuple[wp.Kernel, ...]
+    writes_queues: bool  # locations are queues in place of treelets (`VisitOptions.writes_queues`)
 
     def prepare(self, device: wp.Device) -> None:
         """Allocate what launches need; otherwise the first one does."""
@@ -53,16 +54,18 @@ def visit_stage(layout: Layout, options: VisitOptions, launch: Launch = Launch()
     """How `options.task` is done in a tree of `layout`."""
     if launch.single_lane:
         options = options.one_at_a_time()
-    return (BoxesVisitStage if layout is Layout.BOXES else QuantisedVisitStage)(options, launch)
+    if layout is Layout.BOXES:
+        return BoxesVisitStage(options.without_warps(), launch)
+    return QuantisedVisitStage(options, launch)
 
 
 class _Stage:
     """The common part of both visit stages."""
 
-    def __init__(self, kernel: wp.Kernel):
+    def __init__(self, kernel: wp.Kernel, options: VisitOptions):
         self._kernel = kernel
         self._listed = DeviceRayList()
-        self.kernels = (kernel,)
+        self.kernels, self.writes_queues = (kernel,), options.writes_queues
 
     def prepare(self, device: wp.Device) -> None:
         """Allocate what launches need; otherwise the first one does."""
@@ -75,7 +78,7 @@ class QuantisedVisitStage(_Stage):
     """Persistent warps; on the CPU one ray at a time, for tests."""
 
     def __init__(self, options: VisitOptions, launch: Launch):
-        super().__init__(launch.declare(quantised_visit_kernel(options)))
+        super().__init__(launch.declare(quantised_visit_kernel(options)), options)
         self._launch = launch
         self._cursor: wp.array | None = None
 
@@ -129,7 +132,7 @@ class BoxesVisitStage(_Stage):
     """One thread, on the CPU."""
 
     def __init__(self, options: VisitOptions, launch: Launch):
-        super().__init__(boxes_visit_kernel(options))
+        super().__init__(boxes_visit_kernel(options), options)
         self._launches = RepeatedLaunches(wp.get_device("cpu"))
         self._slice_count = launch.slice_count
 

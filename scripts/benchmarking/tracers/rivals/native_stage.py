@@ -152,7 +152,7 @@ class PacketTracer(StageTracer):
     def build(self, scene: BenchmarkScene) -> Tree:
         reported = super().build(scene)
         if self._traversal.ordered:
-            orders = octant_orders(self._built.tree.nodes.numpy())
+            orders = octant_orders(self._built.nodes.numpy())
             self._orders = wp.array(orders.reshape(-1), dtype=wp.uint32, device="cpu")
         return reported
 

@@ -9,7 +9,7 @@ import warp as wp
 
 from raybatch_addon.core.bvh.traverse.counts import NO_COUNTS, TraceCounts
 from raybatch_addon.core.bvh.traverse.cpu_visit import visit_function
-from raybatch_addon.core.bvh.traverse.options import INTERLEAVE, TraceOptions, VisitOptions
+from raybatch_addon.core.bvh.traverse.options import INTERLEAVE, TopLevelTraversal, TraceOptions, VisitOptions
 from raybatch_addon.core.bvh.traverse.task import VisitTask
 from raybatch_addon.core.bvh.tree import DONE, NEW, TRAIL_LEVELS, TopProgress, Tree, Treelets
 from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
@@ -36,10 +36,9 @@ def visit_kernel(
     task: VisitTask, instancing: bool, interleave: int = INTERLEAVE, counters: bool = False, interlocked: bool = False
 ) -> wp.Kernel:
     """Kernel (tree, treelets, progress, rays, listed, first, end, counts)."""
+    together = TopLevelTraversal.INTERLOCKED if interlocked else TopLevelTraversal.NAIVE
     visit = visit_function(
-        VisitOptions(
-            task=task, instancing=instancing, interleave=interleave, counters=counters, interlocked=interlocked
-        )
+        VisitOptions(task=task, instancing=instancing, interleave=interleave, counters=counters, top_level=together)
     )
 
     @wp.kernel(**KERNEL_OPTIONS)

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from raybatch_addon.core.bvh.traverse.counts import TraceCounts
 from raybatch_addon.core.bvh.traverse.cpu import traversal_source
 from raybatch_addon.core.bvh.traverse.cpu_visit import boxes_visit_source
-from raybatch_addon.core.bvh.traverse.options import TraceOptions, VisitOptions
+from raybatch_addon.core.bvh.traverse.options import TopLevelTraversal, TraceOptions, VisitOptions
 from raybatch_addon.core.bvh.traverse.task import VisitTask
 from raybatch_addon.core.bvh.tree import DONE, NEW, TRAIL_LEVELS, Tree, Treelets
 from raybatch_addon.core.wavefront.tracers.unbatched import boxes_kernel
@@ -164,10 +164,10 @@ def test_counters(name):
 def test_sources():
     """Each task is compiled for itself, for CPUs alone, and whole trees have no step of it."""
     texts = [
-        boxes_visit_source(VisitOptions(task=task, instancing=instancing, interlocked=together))
+        boxes_visit_source(VisitOptions(task=task, instancing=instancing, top_level=together))
         for task in VisitTask
         for instancing in (False, True)
-        for together in (False, True)
+        for together in (TopLevelTraversal.NAIVE, TopLevelTraversal.INTERLOCKED)
     ]
     assert len(set(texts)) == 8  # rays are taken together in TOP alone
     for text in texts:

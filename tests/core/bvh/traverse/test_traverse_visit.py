@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from raybatch_addon.core.bvh.node import Layout
 from raybatch_addon.core.bvh.traverse.counts import TraceCounts
 from raybatch_addon.core.bvh.traverse.cuda_visit import quantised_visit_source
-from raybatch_addon.core.bvh.traverse.options import VisitOptions
+from raybatch_addon.core.bvh.traverse.options import TopLevelTraversal, VisitOptions
 from raybatch_addon.core.bvh.traverse.task import VisitTask
 from raybatch_addon.core.bvh.tree import DONE, TRAIL_LEVELS, Treelets
 from raybatch_addon.core.bvh.treelets.tree import cut_scene_tree
@@ -188,7 +188,7 @@ LAUNCHES = (
 @pytest.mark.parametrize("launch", LAUNCHES, ids=str)
 @pytest.mark.parametrize("name", ("soup", "instances"))
 def test_launch_settings_change_no_hit(device, name, launch):
-    journey, expected, t_max = start(name, "nodes", device, launch=launch, interlocked=True)
+    journey, expected, t_max = start(name, "nodes", device, launch=launch, top_level=TopLevelTraversal.INTERLOCKED)
     journey.alternate(np.random.default_rng(4))
     check_same(journey.rays, expected, journey.any_first, t_max)
     whole, _, _ = start(name, "nodes", device, launch=launch)

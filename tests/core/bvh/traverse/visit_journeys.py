@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from raybatch_addon.core.bvh.node import Layout
-from raybatch_addon.core.bvh.traverse.options import TraceOptions, VisitOptions
+from raybatch_addon.core.bvh.traverse.options import TopLevelTraversal, TraceOptions, VisitOptions
 from raybatch_addon.core.bvh.traverse.task import VisitTask
 from raybatch_addon.core.bvh.tree import DONE, NEW, TRAIL_LEVELS, TopProgress, Treelets
 from raybatch_addon.core.bvh.treelets.tree import TreeletTree
@@ -26,13 +26,13 @@ def stage_of(
     task: VisitTask,
     instancing: bool,
     counters: bool = False,
-    interlocked: bool = False,
+    top_level: TopLevelTraversal = TopLevelTraversal.NAIVE,
     launch: Launch = Launch(),
     layout: Layout = Layout.QUANTISED,
+    lanes: int = 1,
 ):
-    return visit_stage(
-        layout, VisitOptions(task=task, instancing=instancing, counters=counters, interlocked=interlocked), launch
-    )
+    options = VisitOptions(task=task, instancing=instancing, counters=counters, top_level=top_level, lanes=lanes)
+    return visit_stage(layout, options, launch)
 
 
 @functools.cache
@@ -75,10 +75,11 @@ class Journey:
         any_first: int,
         counts=None,
         launch: Launch = Launch(),
-        interlocked: bool = False,
+        top_level: TopLevelTraversal = TopLevelTraversal.NAIVE,
+        lanes: int = 1,
     ):
         self.made, self.rays, self.any_first, self.counts = made, rays, any_first, counts
-        self.launch, self.interlocked = launch, interlocked
+        self.launch, self.top_level, self.lanes = launch, top_level, lanes
         self.device, count = rays.origin.device, rays.origin.shape[0]
         self.progress = TopProgress()
         words = -(-made.levels // TRAIL_LEVELS)
@@ -86,18 +87,31 @@ class Journey:
         self.progress.entry = wp.full(count if made.instancing else 0, -5, dtype=int, device=self.device)
         self.progress.visits = wp.zeros(1, dtype=wp.int64, device=self.device)
         self.where = np.full(count, NEW, np.int32)
+        # the ray is through with the treelet that it waits at, or has passed it (SHORT_SEGMENT)
+        self.behind = np.zeros(count, bool)
+        self.skipped = 0  # times that a ray passed the treelet at which it waits
 
     def run(self, task: VisitTask, slots: np.ndarray, treelets: Treelets | None = None) -> None:
         """`task` for the rays in `slots`."""
         where = uploaded(self.where[slots], self.device)
         batch = RayList(uploaded(slots, self.device), uploaded([len(slots)], self.device), len(slots), where)
-        stage = stage_of(
-            task, self.made.instancing, self.counts is not None, self.interlocked, self.launch, self.made.layout
+        top = (
+            (self.top_level, self.launch, self.made.layout, self.lanes)
+            if task is VisitTask.TOP
+            else (TopLevelTraversal.NAIVE, self.launch, self.made.layout)
         )
+        stage = stage_of(task, self.made.instancing, self.counts is not None, *top)
         stage.launch(
             self.made.tree, treelets or self.made.treelets, self.rays, self.progress, batch, self.any_first, self.counts
         )
-        self.where[slots] = where.numpy()[: len(slots)]
+        came = where.numpy()[: len(slots)].copy()
+        if stage.writes_queues:
+            is_behind = (came >= 0) & (came % 2 == 1)
+            came = np.where(came >= 0, came // 2, came)
+            self.skipped += int(is_behind.sum())
+        else:
+            is_behind = np.full(len(slots), task is VisitTask.TREELET)
+        self.where[slots], self.behind[slots] = came, is_behind
 
     def visits(self) -> int:
         return int(self.progress.visits.numpy()[0])
@@ -106,28 +120,29 @@ class Journey:
         """Top level and treelets in turn, rays in batches at random, until all are done; how many visits there should
         have been.
         """
-        inside = np.zeros(len(self.where), bool)  # the ray was in the treelet that it waits at
         visits = 0
         for _ in range(100_000):
             alive = np.flatnonzero(self.where != DONE)
             if len(alive) == 0:
                 return visits
             chosen = rng.permutation(alive)[: rng.integers(1, 2 * len(alive) + 2)]
-            entering = chosen[(self.where[chosen] >= 0) & ~inside[chosen]]
+            entering = chosen[(self.where[chosen] >= 0) & ~self.behind[chosen]]
             going_on = np.setdiff1d(chosen, entering)
             if len(entering):
                 before = self.where[entering]
                 self.run(VisitTask.TREELET, entering)
                 assert ((self.where[entering] == DONE) | (self.where[entering] == before)).all()
                 assert (self.where[entering[entering < self.any_first]] != DONE).all()
-                inside[entering] = True
                 visits += len(entering)
             if len(going_on):
                 before = self.where[going_on]
                 self.run(VisitTask.TOP, rng.permutation(going_on))
                 assert (self.where[going_on] != NEW).all()
-                assert (self.where[going_on] != before).all() or self.made.instancing
-                inside[going_on] = False
+                again = self.where[going_on] == before  # another instance, or a treelet that was passed
+                assert self.made.instancing or self.top_level is TopLevelTraversal.SHORT_SEGMENT or not again.any()
+                # of the rays that a warp takes at least one comes to the end of its way through the top level
+                lanes = 32 if self.device.is_cuda else self.lanes
+                assert self.behind[going_on].sum() <= len(going_on) - -(-len(going_on) // lanes)
         raise AssertionError("rays never end")
 
     def go_on(self, rng: np.random.Generator, there: float, nodes_there: float) -> None:

@@ -9,6 +9,8 @@ import warp as wp
 from raybatch_addon.core.bvh.build.scene_tree import build_scene_tree
 from raybatch_addon.core.bvh.node import Layout
 from raybatch_addon.core.bvh.traverse.counts import TraceCounts
+from raybatch_addon.core.bvh.traverse.options import TopLevelTraversal, VisitOptions
+from raybatch_addon.core.bvh.traverse.task import VisitTask
 from raybatch_addon.core.bvh.treelets.cut import CutRule
 from raybatch_addon.core.bvh.treelets.tree import cut_scene_tree
 from raybatch_addon.core.measure.timing import StageTimer, clock_of
@@ -24,9 +26,11 @@ from raybatch_addon.core.wavefront.tracers.buckets.tracer import (
     BatchingTracer,
     batching_bytes_per_path,
     batching_kernels,
+    visit_stages,
 )
 from raybatch_addon.core.wavefront.tracers.interface import UnbatchedTracer
 from raybatch_addon.core.wavefront.tracers.unbatched import tracing_stages
+from raybatch_addon.core.wavefront.tracers.visit import VisitStage, quantised_visit_kernel, visit_stage
 from raybatch_addon.core.wavefront.tracers.worker_rays import WorkerRays
 from tests.core.wavefront.tracers.wandering import PARALLEL, SELECTIONS, drain, slot_list
 from tests.support import scenes
@@ -109,7 +113,9 @@ STORAGES = ("INDIRECT", "DIRECT")
 PAIRS = [(layout, storage) for layout in LAYOUTS for storage in STORAGES]
 
 
-def compare(name, layout, shadow_kind, parallel, counters=False, capacity=0, shared=True, rays_few=0, **settings):
+def compare(
+    name, layout, shadow_kind, parallel, counters=False, capacity=0, shared=True, rays_few=0, stages=None, **settings
+):
     paths = 400
     built, cut = cut_case(name, layout, settings.get("treelet_tier_bytes", 0))
     rays, device = rays_at(paths, built), wp.get_device(DEVICE)
@@ -130,6 +136,7 @@ def compare(name, layout, shadow_kind, parallel, counters=False, capacity=0, sha
         parallel=parallel,
         capacity=capacity,
         rays_few=rays_few,
+        stages=stages,
         **met(name),
     )
     tracer.submit(RayKind.CLOSEST, slot_list(np.arange(paths)[::-1]))
@@ -193,6 +200,8 @@ def test_segments_and_things_that_move(name, layout, storage, shadow_kind):
         {"warp_count": 1},
         {"counters": True},
         {"top_level_traversal": "INTERLOCKED"},
+        {"top_level_traversal": "SHORT_SEGMENT"},
+        {"top_level_traversal": "LONG_HAUL"},
         {"treelet_cache": 1},
         {"treelet_prefetch": "ON"},
         {"treelet_cache": 4000, "bucket_selection": "LAZY", "bucket_processors": 3},
@@ -205,6 +214,61 @@ def test_segments_and_things_that_move(name, layout, storage, shadow_kind):
 def test_settings_change_no_hit(settings, layout, storage):
     totals = compare("instances", layout, RayKind.OCCLUSION, PARALLEL[-1], ray_storage=storage, **settings)
     assert (totals.rays_unbatched > 0) == ("rays_few" in settings)
+
+
+@functools.cache
+def stages_together(name: str, top_level: TopLevelTraversal) -> dict[VisitTask, VisitStage]:
+    """With counters, for warps of 8 lanes above treelets."""
+    shared = {"instancing": name != "soup", "counters": True, "curves": name in SCENES, "motion": name == "living"}
+    options = [VisitOptions(task=task, top_level=top_level, lanes=8, **shared) for task in VisitTask]
+    return {each.task: visit_stage(Layout.QUANTISED, each) for each in options}
+
+
+@pytest.mark.skipif(DEVICE != "cpu", reason="lanes that take turns are of CPUs")
+@pytest.mark.parametrize(
+    "name, selection, settings",
+    each_of(
+        2,
+        [
+            (name, selection, settings)
+            for name in ("instances", "living")
+            for selection, settings in (
+                ("ALL", {"capacity": 32}),
+                ("MOST_FULL", {"ray_storage": "DIRECT", "debug_checks": "ON"}),
+                ("MOST_FULL", {"queue_size": 16, "queue_count": 3, "bucket_wait_max": 5}),
+                ("NEXT", {"ray_storage": "DIRECT", "rays_few": 8}),
+                ("RANDOM", {"debug_checks": "ON", "rays_few": 60}),
+                ("ALL", {"ray_storage": "DIRECT"}),
+                ("BALANCED", {"treelet_prefetch": "ON"}),
+                ("ALL", {"debug_checks": "ON", "rays_few": 50}),
+                ("LAZY", {"bucket_processors": 3, "debug_checks": "ON"}),
+            )
+        ],
+    ),
+    ids=str,
+)
+def test_rays_of_a_warp_that_go_together(name, selection, settings):
+    """Whatever the queues are and who serves them, where some rays pass treelets that others of their warp enter."""
+    shadow_kind = RayKind.TRANSPARENT_SHADOW if selection == "NEXT" else RayKind.OCCLUSION
+    common = {"counters": True, "bucket_selection": selection, **settings}
+    short, alone = (
+        compare(name, Layout.QUANTISED, shadow_kind, PARALLEL[-1], stages=stages_together(name, each), **common)
+        for each in (TopLevelTraversal.SHORT_SEGMENT, TopLevelTraversal.NAIVE)
+    )
+    assert short.rays_queued > alone.rays_queued and short.treelet_visits == alone.treelet_visits
+
+
+def test_settings_choose_how_rays_go_through_the_top_level():
+    for setting, each in TopLevelTraversal.__members__.items():
+        settings = RenderSettings(top_level_traversal=setting)
+        for layout in LAYOUTS:
+            stages = visit_stages(layout, True, False, settings)
+            is_quantised = layout is Layout.QUANTISED
+            assert stages[VisitTask.TOP].writes_queues == (is_quantised and each is TopLevelTraversal.SHORT_SEGMENT)
+            assert not stages[VisitTask.TREELET].writes_queues and not stages[VisitTask.GO_ON].writes_queues
+            if is_quantised:
+                options = VisitOptions(task=VisitTask.TOP, instancing=True, top_level=each)
+                assert stages[VisitTask.TOP].kernels == (quantised_visit_kernel(options),)
 
 
 @pytest.mark.parametrize("parallel", PARALLEL)

@@ -56,6 +56,8 @@ def wander_kernel(
 class Wander:
     """Stands for a `VisitStage`."""
 
+    writes_queues = False
+
     def __init__(self, task, treelets, visits):
         self.kernels, self._task, self._treelets, self._visits = (
             (wander_kernel,),

@@ -17,13 +17,15 @@ from .storage import Storage
 
 
 class QueueRules:
-    """How treelets stand for queues: `entry` for rays that come to a treelet, `exit` for those that leave one, `begin`
-    for new rays.
+    """How locations stand for queues: `entry` for rays that come to a treelet, `exit` for those that leave one, `top`
+    for those that went through the top level, `begin` for new rays.
     """
 
-    def __init__(self, numbers: QueueNumbers):
+    def __init__(self, numbers: QueueNumbers, writes_queues: bool = False):
+        """`writes_queues`: the task TOP says itself which queue it is (`VisitOptions.writes_queues`)."""
         self.entry = queue_rule(2, 0, numbers.done, numbers.new)
         self.exit = queue_rule(2, 1, numbers.done, numbers.new)
+        self.top = queue_rule(1, 0, numbers.done, numbers.new) if writes_queues else self.entry
         self.begin = queue_rule(0, numbers.new)  # whatever the batch says
 
 
@@ -42,7 +44,12 @@ class QueueServer:
         """Rays in `queues` visit `treelet_tree`; what is done is timed by `timer`."""
         self._tree, self._treelets = treelet_tree.tree, treelet_tree.treelets
         self._stages, self._queues, self._storage, self._numbers, self._timer = stages, queues, storage, numbers, timer
-        self._rules = QueueRules(numbers)
+        self._rules = QueueRules(numbers, stages[VisitTask.TOP].writes_queues)
+        self._after = {
+            VisitTask.TOP: self._rules.top,
+            VisitTask.TREELET: self._rules.exit,
+            VisitTask.GO_ON: self._rules.entry,
+        }
 
     def serve(self, step: Step, queues: Sequence[int], amount: int) -> None:
         """Rays of exit queues go on through the top level, those of entry queues visit their treelets; there are
@@ -67,7 +74,7 @@ class QueueServer:
         # all rays fit a batch: behind their treelet they go on through the top level at once
         batch = self._take(self._numbers.entries, amount)
         self.trace(batch, VisitTask.TREELET, VisitTask.TOP)
-        self._put(self._rules.entry)
+        self._put(self._rules.top)
 
     def go_on(self, queues: Sequence[int], amount: int, there: Treelets) -> None:
         """Rays of `queues`, `amount` at most, begin or enter their treelets, and go on through all that is `there`,
@@ -83,6 +90,8 @@ class QueueServer:
     def finish_all(self) -> int:
         """All rays go on, unbatched, until they are done; how many had not left their treelet."""
         self._serve_all(self._numbers.exits, VisitTask.TOP)
+        while self._stages[VisitTask.TOP].writes_queues and self._count(self._numbers.exits):  # some were put back
+            self._serve_all(self._numbers.exits, VisitTask.TOP)
         count = self._queues.waiting - int(self._queues.fetch_counts()[self._numbers.done])
         self._serve_all(range(self._numbers.new, self._numbers.new + 1), VisitTask.GO_ON)
         self._serve_all(self._numbers.entries, VisitTask.GO_ON)
@@ -104,12 +113,14 @@ class QueueServer:
     def _do(self, task: VisitTask, batch: RayList) -> None:
         """Trace the batch that was taken last, and put it back."""
         self.trace(batch, task)
-        self._put(self._rules.exit if task == VisitTask.TREELET else self._rules.entry)
+        self._put(self._after[task])
 
     def _serve_all(
         self, queues: range, task: VisitTask, do: Callable[[VisitTask, RayList], None] | None = None
     ) -> None:
-        """Do `task` for all rays of `queues`, none of which gets rays by that; `do`: instead of `_do`."""
+        """Do `task` for all rays of `queues`, which get none by that but those that SHORT_SEGMENT puts back; `do`:
+        instead of `_do`.
+        """
         left = self._count(queues)
         while left > 0:
             batch = self._take(queues, left)

@@ -121,10 +121,7 @@ class FusedSteps:
         self._take_inputs = (queues.blocks, rules.entry, rays, policy.state)
         # one each, so that the rule of a kept launch stays
         self._put = {step: RepeatedLaunches(queues.device) for step in (Step.TOP, Step.TREELET)}
-        self._put_inputs = {
-            Step.TOP: (queues.blocks, rules.entry, rays),
-            Step.TREELET: (queues.blocks, rules.exit, rays),
-        }
+        self._put_inputs = {Step.TOP: (queues.blocks, rules.top, rays), Step.TREELET: (queues.blocks, rules.exit, rays)}
 
     def begin(self, target: int) -> None:
         """Let the host lead."""

@@ -15,7 +15,7 @@ from typing import Any
 import warp as wp
 
 from ....bvh.node import Layout
-from ....bvh.traverse.options import VisitOptions
+from ....bvh.traverse.options import TopLevelTraversal, VisitOptions
 from ....bvh.traverse.task import VisitTask
 from ....bvh.treelets.tree import TreeletTree
 from ....measure.batching import BatchingTotals
@@ -71,10 +71,10 @@ def visit_stages(
     moving: bool = False,
 ) -> dict[VisitTask, VisitStage]:
     """The stages that rays go through."""
-    interlocked, tiers = settings.top_level_traversal == "INTERLOCKED", has_tiers(settings)
+    top_level, tiers = top_level_of(settings), has_tiers(settings)
     found = {"instancing": instancing, "counters": counters, "curves": curves, "motion": moving}
     options = [
-        VisitOptions(task=task, interlocked=interlocked, tiers=tiers and task is VisitTask.TOP, **found)
+        VisitOptions(task=task, top_level=top_level, tiers=tiers and task is VisitTask.TOP, **found)
         for task in VisitTask
         if not (tiers and task is VisitTask.GO_ON)
     ]
@@ -117,10 +117,19 @@ def batching_bytes_per_path(
 
 
 def queues_per_ray(settings: RenderSettings) -> int:
-    """Treelets at which a ray waits at a time, at most. One where rays go on through treelets in a cache, or treelets
-    are in large ones.
+    """Treelets at which a ray waits at a time, at most. One where rays go on through treelets in a cache, treelets are
+    in large ones, or SHORT_SEGMENT has rays wait behind treelets that they do not enter.
     """
-    return 1 if settings.treelet_cache or has_tiers(settings) else settings.queues_per_ray
+    short = settings.top_level_traversal == "SHORT_SEGMENT"
+    return 1 if short or settings.treelet_cache or has_tiers(settings) else settings.queues_per_ray
+
+
+def top_level_of(settings: RenderSettings) -> TopLevelTraversal:
+    """How the rays of a warp go through the top level: each for itself where treelets are in large ones, in which the
+    rays of a warp come from one treelet anyway.
+    """
+    asked = TopLevelTraversal[settings.top_level_traversal]
+    return TopLevelTraversal.NAIVE if asked.elects and has_tiers(settings) else asked
 
 
 def host_chooses(settings: RenderSettings, is_cuda: bool) -> bool:
@@ -166,7 +175,6 @@ class BatchingTracer:
         """
         device, counts, debug = worker.device, worker.counts, settings.is_on("debug_checks")
         self._timer, self._numbers = worker.timer, QueueNumbers(treelet_tree.treelet_count + treelet_tree.large_count)
-        self._rules = QueueRules(self._numbers)
         self._selection = selection_of(settings, device.is_cuda)
         storage, server_type = STORAGES[settings.ray_storage], QueueServer
         queue_total, self._copies = self._numbers.queue_total, copies_of(queues_per_ray(settings), worker.slot_count)
@@ -206,6 +214,7 @@ class BatchingTracer:
         is_given = stages is not None  # and so are their kernels, which are loaded already
         if stages is None:
             stages = visit_stages(treelet_tree.layout, instancing, counts is not None, settings, curves, moving)
+        self._rules = QueueRules(self._numbers, stages[VisitTask.TOP].writes_queues)
         for stage in stages.values():
             stage.prepare(device)
         served = treelet_tree, stages, self._queues, self._storage, self._numbers

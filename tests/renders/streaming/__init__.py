@@ -1,0 +1,1 @@
+"""Whole renders by the streaming schedule."""

@@ -1,0 +1,1 @@
+"""Studies of docs/studies: what they measure."""
