@@ -19,7 +19,8 @@ from .denoise import DenoiseSettings
 from .device import TRACE_BLOCK_SIZE, DeviceSettings, LaunchSettings, MemorySettings
 from .estimator import EstimatorSettings
 from .info import BYTES, GROUPS, INT_MAX, SettingInfo, checked, infos_of
-from .schedule import QueueSettings, SchedulerSettings, TracingSettings, TreeletSettings
+from .schedule import SchedulerSettings, TracingSettings
+from .waiting import QueueSettings, TreeletSettings
 
 __all__ = ["BYTES", "GROUPS", "SETTINGS", "RenderSettings", "SettingInfo", "parse_setting", "setting_info"]
 
