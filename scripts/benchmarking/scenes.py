@@ -146,8 +146,8 @@ def repeated(mesh: Mesh, grid: int, up: str) -> Mesh:
     used = mesh.positions[np.unique(mesh.triangles)]
     extent = used.max(0).astype(np.float64) - used.min(0)
     count, vertices = grid * grid, len(mesh.positions)
-    if count * max(vertices, 3 * len(mesh.triangles)) > INDEX_MAX:
-        raise UsageError(f"--grid {grid} makes {count * len(mesh.triangles):,} triangles, more than {INDEX_MAX // 3:,}")
+    if count * max(vertices, len(mesh.triangles)) > INDEX_MAX:
+        raise UsageError(f"--grid {grid} makes {count * len(mesh.triangles):,} triangles, more than {INDEX_MAX:,}")
     first, second = np.flatnonzero(UP_AXES[up] == 0)
     offsets = np.zeros((grid, grid, 1, 3), np.float32)
     offsets[..., 0, first] = GRID_SPACING * extent[first] * np.arange(grid)[:, None]

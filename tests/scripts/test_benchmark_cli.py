@@ -201,7 +201,9 @@ def test_every_tracer_finds_the_hits_of_a_small_scene(geometry, tracer, capfd):
         == 0
     )
     report = json.loads(capfd.readouterr().out)
-    assert set(report) == {"device", "versions", "scene", "triangles", "build_s", "bvh_bytes", "trees", "results"}
+    assert set(report) == {
+        *("device", "versions", "scene", "triangles", "build_s", "bvh_bytes", "budget", "beyond", "trees", "results")
+    }
     assert (
         report["triangles"] == len(bowl().triangles)
         and report["device"]["alias"] == "cpu"

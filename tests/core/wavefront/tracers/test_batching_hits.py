@@ -153,7 +153,7 @@ def compare(
         np.testing.assert_array_equal(mine, theirs)
     totals = tracer.totals()
     assert totals.rays == totals.finished == 2 * paths
-    assert totals.treelet_visits > paths
+    assert totals.treelet_visits > paths / 2  # some rays miss all
     if counters:
         assert counts.treelet_visits.numpy().sum() == totals.treelet_visits
         assert counts.node_steps.numpy().min() >= 0
