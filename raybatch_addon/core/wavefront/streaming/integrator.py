@@ -14,7 +14,6 @@ import warp as wp
 
 from ...bvh.traverse.counts import NO_COUNTS
 from ...device.devices import load_module
-from ...device.kernel import specialised_out_of_line
 from ...film.tile import FilmTile, FinishedTile
 from ...scene.description import Frame
 from ...scene.passes import matte_kinds
@@ -30,9 +29,9 @@ from ..stages.work import TileWork
 from ..tile_state import TileState
 from ..volumes.table import VolumeData
 from .checks import check_queues
-from .kernel import BLOCK_SIZE, Stream, stream_kernel
+from .kernel import BLOCK_SIZE, Stream, kernel_for
 from .queues import AT_RANDOM, IN_TURN, Counter, Queue, allocate_queues, fill_queues, warp_size
-from .trace import TracedTree, stream_tracing
+from .trace import TracedTree
 
 # A launch is to take about this long, so that a render stops soon and shows how far it is [s]
 LAUNCH_SECONDS = 0.1
@@ -80,9 +79,7 @@ class StreamingIntegrator(TileIntegrator):
         stream.queues = queues
         self._warps = warps
         self._debug = settings.is_on("debug_checks")
-        self._kernel = stream_kernel(
-            scene.features, stream_tracing(scene.tracing, scene.features), specialised_out_of_line()
-        )
+        self._kernel = kernel_for(scene.features, scene.tracing, settings, device)
         load_module(self._kernel, device)
         self._work_most = _WORK_MOST
         if matte_kinds(frame.passes):
