@@ -21,7 +21,7 @@ from ..scene.shading_data import SceneData
 from ..stages.limits import PathLimits
 from ..stages.work import TileWork
 from ..volumes.table import VolumeData
-from .queues import Counter, Queue, StreamQueues, Word, lane_count, put_tokens, take_tokens
+from .queues import Counter, Queue, StreamQueues, Word, fill_kernel, lane_count, put_tokens, take_tokens
 from .stages import stream_stages, whereto
 from .trace import StreamTracing, TracedTree, make_trace_batch, stream_tracing
 
@@ -142,5 +142,5 @@ def stream_kernels(
 ) -> list[wp.Kernel]:
     """Everything that a `StreamingIntegrator` launches."""
     own = kernel_for(features, tracing, settings, device)
-    found = [own, resolve_kernel(layout_of(features.passes, features.film_transparent)), add_spill_kernel]
+    found = [own, fill_kernel, resolve_kernel(layout_of(features.passes, features.film_transparent)), add_spill_kernel]
     return [*found, *(ADAPTIVE_KERNELS if features.adaptive else ())]
