@@ -19,6 +19,7 @@ from ..plan.tracing import Tracing
 from ..rays import Paths
 from ..scene.shading_data import SceneData
 from ..stages.limits import PathLimits
+from ..stages.stage import prefetch_hits
 from ..stages.work import TileWork
 from ..volumes.table import VolumeData
 from .queues import Counter, Queue, StreamQueues, Word, fill_kernel, lane_count, put_tokens, take_tokens
@@ -119,6 +120,7 @@ def stream_kernel(
                             background(data, stream.volumes, work, limits, paths, rays, film, slots, one)
                         else:
                             if wp.static(surface is not None):
+                                prefetch_hits(data.geometry, rays, tokens, i, words[_HELD])
                                 surface(data, stream.volumes, work, limits, paths, rays, film, slots, one)
                         to = whereto(paths, path)
                         if to.queue == _SHADOW or to.queue == _TRACE:
