@@ -51,8 +51,8 @@ _SILENCED_BY: dict[str, tuple[tuple[str, Container], ...]] = {
     "queue_size": (_NOT_BATCHED, _STREAMING),
     "queue_count": (_NOT_BATCHED, _STREAMING),
     "ray_storage": (_NOT_BATCHED, _STREAMING),
-    **dict.fromkeys(("ray_sort", "hit_sort", "ray_low_water"), (_STREAMING,)),
-    **dict.fromkeys(("single_lane", "register_cap", "block_size", "kernel_tier"), (_STREAMING,)),
+    **dict.fromkeys(("ray_sort", "hit_sort", "ray_low_water", "ray_high_water"), (_STREAMING,)),
+    **dict.fromkeys(("single_lane", "block_size", "kernel_tier"), (_STREAMING,)),
 }
 _OF_CUDA = {"top_level_traversal", "register_cap", "block_size"}
 

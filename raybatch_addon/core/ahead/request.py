@@ -52,7 +52,7 @@ class CompileRequest:
         if self.settings.schedule == "STREAMING":
             from ..wavefront.streaming.kernel import stream_kernels  # other renders import none of it
 
-            return stream_kernels(self.features, tracing)
+            return stream_kernels(self.features, tracing, self.settings, device)
         stages = StageKernels.choose(self.features, device, self.shading)
         return stages.all() + tracing_kernels(self.features, self.settings, tracing, device)
 

@@ -138,7 +138,7 @@ def make_workers(
             else ("some times what keeps the device busy" if device.is_cuda else "a wave stays within the outer caches")
         )
         made.chosen["ray_count"] = Choice(count * workers, why)
-    if settings.bucket_selection == "AUTO" and scene.treelets:
+    if settings.bucket_selection == "AUTO" and scene.treelets and settings.schedule == "WAVEFRONT":
         made.chosen["bucket_selection"] = Choice(
             selection_of(settings, device.is_cuda).name,
             "every launch is large" if device.is_cuda else "a step costs little, and fuller buckets save more",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import warp as wp
 
@@ -14,28 +16,35 @@ def check_queues(queues: StreamQueues, status: wp.array, alive: int) -> None:
     `status`: of all paths; `alive`: how many the warps count. Called while no warp works.
     """
     path_count = status.size
-    ring, first, mask = queues.ring.numpy(), queues.first.numpy(), queues.mask.numpy()
-    size, head, tail = (getattr(queues, name).numpy() for name in ("size", "head", "tail"))
-    seen = np.zeros(path_count, int)
-    for queue in range(len(size)):
-        waiting = (int(tail[queue]) - int(head[queue])) & 0xFFFFFFFF
-        name = Queue(queue).name if queue < len(Queue) else f"of treelet {queue - len(Queue)}"
-        _check(waiting == size[queue], f"queue {name} has {waiting} tickets and {size[queue]} tokens")
-        _check(0 <= waiting <= mask[queue] + 1, f"queue {name} holds {waiting} tokens in {mask[queue] + 1} places")
-        entries = ring[first[queue] : first[queue] + mask[queue] + 1]
-        # the next ticket of each entry; where its token is there, it says one more
-        tickets = int(head[queue]) + np.arange(mask[queue] + 1)
-        turns, places = tickets + (tickets < int(head[queue]) + waiting), tickets & mask[queue]
-        agree = (entries[places] >> 32).astype(np.uint32) == turns.astype(np.uint32)
-        _check(agree.all(), f"an entry of queue {name} was not published, or not read")
-        tokens = entries[places[:waiting]] & 0xFFFFFFFF
-        np.add.at(seen, tokens % path_count, 1)
-        if queue == Queue.GENERATE:
-            _check((status.numpy()[tokens] == 0).all(), "a path that is alive is among the free slots")
-            _check(path_count - waiting == alive, f"{path_count - waiting} paths are alive, and {alive} are counted")
-    _check((seen == 1).all(), f"{(seen != 1).sum()} paths are not in exactly one queue")
+    size, head, tail, places = (
+        each.numpy().astype(np.int64) for each in (queues.size, queues.head, queues.tail, queues.mask)
+    )
+    places += 1
+    waiting = (tail - head) & 0xFFFFFFFF
+    _check(waiting == size, lambda q: f"queue {_name(q)} has {waiting[q]} tickets and {size[q]} tokens")
+    _check(waiting <= places, lambda q: f"queue {_name(q)} holds {waiting[q]} tokens in {places[q]} places")
+    ring = queues.ring.numpy()
+    of = np.repeat(np.arange(len(size)), places)  # the queue of each entry
+    # the next ticket of each entry; where its token is there, it says one more
+    behind = (np.arange(len(ring)) - queues.first.numpy()[of] - head[of]) % places[of]
+    is_there = behind < waiting[of]
+    turns = (head[of] + behind + is_there).astype(np.uint32)
+    agree = (ring >> 32).astype(np.uint32) == turns
+    _check(agree, lambda entry: f"an entry of queue {_name(of[entry])} was not published, or not read")
+    tokens = ring[is_there] & 0xFFFFFFFF
+    seen = np.bincount(tokens % path_count, minlength=path_count)
+    _check(seen == 1, lambda path: f"path {path} is in {seen[path]} queues, not in exactly one queue")
+    free = tokens[of[is_there] == Queue.GENERATE]
+    _check(status.numpy()[free] == 0, lambda i: f"path {free[i]} is alive and among the free slots")
+    counted = path_count - len(free)
+    _check(np.array([counted == alive]), lambda _: f"{counted} paths are alive, and {alive} are counted")
 
 
-def _check(holds: bool, what: str) -> None:
-    if not holds:
-        raise AssertionError(f"streaming schedule: {what}")
+def _name(queue: int) -> str:
+    return Queue(queue).name if queue < len(Queue) else f"of treelet {queue - len(Queue)}"
+
+
+def _check(holds: np.ndarray, complaint: Callable[[int], str]) -> None:
+    """Raise what `complaint` says of the first that does not hold."""
+    if not holds.all():
+        raise AssertionError(f"streaming schedule: {complaint(int(np.flatnonzero(~holds)[0]))}")

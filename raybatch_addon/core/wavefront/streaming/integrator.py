@@ -14,7 +14,6 @@ import warp as wp
 
 from ...bvh.traverse.counts import NO_COUNTS
 from ...device.devices import load_module
-from ...device.kernel import specialised_out_of_line
 from ...film.tile import FilmTile, FinishedTile
 from ...scene.description import Frame
 from ...scene.passes import matte_kinds
@@ -30,15 +29,15 @@ from ..stages.work import TileWork
 from ..tile_state import TileState
 from ..volumes.table import VolumeData
 from .checks import check_queues
-from .kernel import BLOCK_SIZE, Stream, stream_kernel
+from .kernel import BLOCK_SIZE, Stream, kernel_for
 from .queues import AT_RANDOM, IN_TURN, Counter, Queue, allocate_queues, fill_queues, warp_size
-from .trace import TracedTree, stream_tracing
+from .trace import TracedTree
 
 # A launch is to take about this long, so that a render stops soon and shows how far it is [s]
 LAUNCH_SECONDS = 0.1
 # Tokens of a first launch, for each path slot; and how far the next may differ from the last
 _FIRST_WORK, _GROWTH = 2, 4.0
-_WORK_MOST = 1 << 29
+_WORK_LEAST, _WORK_MOST = 1 << 12, 1 << 29
 # Tokens that a warp takes at a time: on a CPU enough that a traversal carries many rays all the time
 _CUDA_BATCH, _CPU_BATCH = 128, 1024
 _CUDA_FULL, _CPU_FULL = 64, 512
@@ -80,16 +79,15 @@ class StreamingIntegrator(TileIntegrator):
         stream.queues = queues
         self._warps = warps
         self._debug = settings.is_on("debug_checks")
-        self._kernel = stream_kernel(
-            scene.features, stream_tracing(scene.tracing, scene.features), specialised_out_of_line()
-        )
+        self._kernel = kernel_for(scene.features, scene.tracing, settings, device)
         load_module(self._kernel, device)
         self._work_most = _WORK_MOST
         if matte_kinds(frame.passes):
             # a token sets aside a weight of each kind at most, and a warp takes a batch beyond what a launch is to take
-            self._work_most = count
-            self._film_tiles.set_mattes_aside(self._lists.counts.at(Length.MATTES), count + warps * queues.batch)
-        self._work = min(_FIRST_WORK * count, self._work_most)  # tokens of the next launch
+            self._work_most = max(count, _WORK_LEAST)
+            aside = self._work_most + warps * queues.batch
+            self._film_tiles.set_mattes_aside(self._lists.counts.at(Length.MATTES), aside)
+        self._work = min(max(_FIRST_WORK * count, _WORK_LEAST), self._work_most)  # tokens of the next launch
 
     def _warp_count(self, settings: RenderSettings) -> int:
         if not self.device.is_cuda:
@@ -162,9 +160,14 @@ class StreamingIntegrator(TileIntegrator):
         self.rays.camera += begun
         self.rays.bounced += counted[Counter.RAYS] - begun
         self.rays.shadow += counted[Counter.SHADOW_RAYS]
-        share = LAUNCH_SECONDS / max(time.perf_counter() - start, 1e-6) * counted[Counter.WORK] / self._work
-        self._work = int(min(max(self._work * min(share, _GROWTH), self.path_count, 1), self._work_most))
+        self._plan_work(counted[Counter.WORK], time.perf_counter() - start)
         return counted[Counter.ENDED]
+
+    def _plan_work(self, done: int, seconds: float) -> None:
+        """How much the next launch takes, where the last took `done` tokens: one that ended early says little."""
+        if done >= self._work or seconds > LAUNCH_SECONDS:
+            wanted = min(LAUNCH_SECONDS / max(seconds, 1e-6) * done, _GROWTH * self._work)
+            self._work = int(min(max(wanted, self.path_count, _WORK_LEAST), self._work_most))
 
     def _give_up(self, state: TileState) -> None:
         super()._give_up(state)

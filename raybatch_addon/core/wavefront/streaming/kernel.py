@@ -12,19 +12,24 @@ from ...film import layout_of
 from ...film.tile import FilmTile, add_spill_kernel, resolve_kernel
 from ...rays import Rays
 from ...scene.features import SceneFeatures
+from ...settings.settings import RenderSettings
 from ...shading.camera import CameraData
 from ..adaptive.active_pixels import ADAPTIVE_KERNELS
 from ..plan.tracing import Tracing
 from ..rays import Paths
 from ..scene.shading_data import SceneData
 from ..stages.limits import PathLimits
+from ..stages.stage import prefetch_hits
 from ..stages.work import TileWork
 from ..volumes.table import VolumeData
-from .queues import Counter, Queue, StreamQueues, Word, lane_count, put_tokens, take_tokens
+from .queues import Counter, Queue, StreamQueues, Word, fill_kernel, lane_count, put_tokens, take_tokens
 from .stages import stream_stages, whereto
 from .trace import StreamTracing, TracedTree, make_trace_batch, stream_tracing
 
 BLOCK_SIZE = 128  # threads of a block on CUDA: warps have nothing to do with each other
+# Of a CUDA thread at most, as for the stages that take most of them: else a small scene's kernel takes 168 to 196, so
+# that a multiprocessor has half as many warps
+REGISTERS = 128
 
 _FILM, _BACKGROUND, _CONNECT = int(Queue.FILM), int(Queue.BACKGROUND), int(Queue.CONNECT)
 _SHADOW, _TRACE, _GENERATE = int(Queue.SHADOW), int(Queue.TRACE), int(Queue.GENERATE)
@@ -44,10 +49,13 @@ class Stream:
 
 
 @functools.cache
-def stream_kernel(features: SceneFeatures, tracing: StreamTracing | None, out_of_line: bool) -> wp.Kernel:
+def stream_kernel(
+    features: SceneFeatures, tracing: StreamTracing | None, out_of_line: bool, registers: int = 0
+) -> wp.Kernel:
     """Kernel (data, work, limits, camera, paths, rays, film, stream), of whole warps, for a scene with `features`.
 
-    `tracing`: None where there is nothing to hit; `out_of_line`: compile it for a CPU in less time.
+    `tracing`: None where there is nothing to hit; `out_of_line`: compile it for a CPU in less time;
+    `registers`: of a CUDA thread at most (0: as the compiler likes).
     """
     stages = stream_stages(features)
     begin, connect, accumulate = stages.begin, stages.connect, stages.accumulate
@@ -61,7 +69,9 @@ def stream_kernel(features: SceneFeatures, tracing: StreamTracing | None, out_of
         if wp.static(cut):
             stream.traced.location[slot] = wp.static(NEW)
 
-    @wp.kernel(**kernel_options(out_of_line))
+    limit = {"cuda_max_registers": registers} if registers else {}
+
+    @wp.kernel(**kernel_options(out_of_line), **limit)
     def stream_paths(
         data: SceneData,
         work: TileWork,
@@ -110,6 +120,7 @@ def stream_kernel(features: SceneFeatures, tracing: StreamTracing | None, out_of
                             background(data, stream.volumes, work, limits, paths, rays, film, slots, one)
                         else:
                             if wp.static(surface is not None):
+                                prefetch_hits(data.geometry, rays, tokens, i, words[_HELD])
                                 surface(data, stream.volumes, work, limits, paths, rays, film, slots, one)
                         to = whereto(paths, path)
                         if to.queue == _SHADOW or to.queue == _TRACE:
@@ -122,8 +133,16 @@ def stream_kernel(features: SceneFeatures, tracing: StreamTracing | None, out_of
     return with_block_size(stream_paths, BLOCK_SIZE)
 
 
-def stream_kernels(features: SceneFeatures, tracing: Tracing) -> list[wp.Kernel]:
+def kernel_for(features: SceneFeatures, tracing: Tracing, settings: RenderSettings, device: wp.Device) -> wp.Kernel:
+    """The kernel of a render with `settings`; its `register_cap` says more of registers than `REGISTERS`."""
+    registers = (settings.register_cap or REGISTERS) if device.is_cuda else 0
+    return stream_kernel(features, stream_tracing(tracing, features), specialised_out_of_line(), registers)
+
+
+def stream_kernels(
+    features: SceneFeatures, tracing: Tracing, settings: RenderSettings, device: wp.Device
+) -> list[wp.Kernel]:
     """Everything that a `StreamingIntegrator` launches."""
-    own = stream_kernel(features, stream_tracing(tracing, features), specialised_out_of_line())
-    found = [own, resolve_kernel(layout_of(features.passes, features.film_transparent)), add_spill_kernel]
+    own = kernel_for(features, tracing, settings, device)
+    found = [own, fill_kernel, resolve_kernel(layout_of(features.passes, features.film_transparent)), add_spill_kernel]
     return [*found, *(ADAPTIVE_KERNELS if features.adaptive else ())]

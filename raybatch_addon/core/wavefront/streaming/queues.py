@@ -19,7 +19,9 @@ import numpy as np
 import warp as wp
 
 from ...bvh.treelets.tree import TreeletTree
+from ...device.kernel import KERNEL_OPTIONS
 from ...native.build import native_source
+from ...settings.info import INT_MAX
 from ..rays import trail_words
 
 LEAVE = -1  # what `take_tokens` returns when a launch is over
@@ -127,8 +129,12 @@ def stream_bytes_per_path(path_count: int, shadow_rays: bool, cut: TreeletTree |
 def allocate_queues(
     path_count: int, treelet_count: int, warp_count: int, batch: int, full: int, device: wp.Device
 ) -> StreamQueues:
-    """Empty queues for `path_count` paths, and `warp_count` warps that take `batch` tokens at a time."""
+    """Empty queues for `path_count` paths, and `warp_count` warps that take `batch` tokens at a time; raises
+    `MemoryError` where they have more places than an array can have.
+    """
     places = [ring_places(path_count)] * len(Queue) + [treelet_places(path_count, treelet_count)] * treelet_count
+    if sum(places) > INT_MAX:
+        raise MemoryError(f"queues of {path_count:,} paths have more places than can be numbered")
     queues = StreamQueues()
     queues.ring = wp.empty(sum(places), dtype=wp.int64, device=device)
     queues.first = wp.array(np.cumsum([0, *places[:-1]]), dtype=wp.int64, device=device)
@@ -145,14 +151,26 @@ def allocate_queues(
     return queues
 
 
+@wp.kernel(**KERNEL_OPTIONS)
+def fill_kernel(ring: wp.array(dtype=wp.int64), mask: int, tokens: int):
+    """Entries of rings of `mask` + 1 places: tokens 0 to `tokens` in the first ones, the others for tickets from 0."""
+    i = wp.tid()
+    entry = wp.int64(i & mask) << wp.int64(32)
+    if i < tokens:
+        entry = (wp.int64(i + 1) << wp.int64(32)) | wp.int64(i)
+    ring[i] = entry
+
+
 def fill_queues(queues: StreamQueues, path_count: int) -> None:
     """No path is alive: all `path_count` tokens are in GENERATE."""
-    turns = [np.arange(mask + 1) for mask in queues.mask.numpy().tolist()]
-    turns[Queue.GENERATE][:path_count] += 1
-    ring = np.concatenate(turns) << 32
-    first = int(queues.first.numpy()[Queue.GENERATE])
-    ring[first : first + path_count] += np.arange(path_count)
-    queues.ring.assign(ring)
+    places, treelets, device = ring_places(path_count), queues.size.size - len(Queue), queues.ring.device
+    for queue in Queue:
+        tokens = path_count if queue is Queue.GENERATE else 0
+        ring = queues.ring[queue * places : (queue + 1) * places]
+        wp.launch(fill_kernel, places, [ring, places - 1, tokens], device=device)
+    if treelets:
+        rest = queues.ring[len(Queue) * places :]
+        wp.launch(fill_kernel, rest.size, [rest, treelet_places(path_count, treelets) - 1, 0], device=device)
     for name in ("size", "head", "tail"):
         getattr(queues, name).zero_()
     for array in (queues.size, queues.tail):
