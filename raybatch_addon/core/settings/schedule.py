@@ -191,7 +191,7 @@ class SchedulerSettings:
         effect="schedule",
         auto="AUTO",
         choices=(
-            ("AUTO", "Auto", "By device"),
+            ("AUTO", "Auto", "All, which was the fastest wherever it was measured"),
             ("MOST_FULL", "Most Full", "The one in which most rays wait"),
             ("NEXT", "Next", "The one behind the last, in turn, that is not empty"),
             ("RANDOM", "Random", "Any that is not empty, from random numbers that repeat"),

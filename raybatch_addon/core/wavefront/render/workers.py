@@ -140,8 +140,7 @@ def make_workers(
         made.chosen["ray_count"] = Choice(count * workers, why)
     if settings.bucket_selection == "AUTO" and scene.treelets and settings.schedule == "WAVEFRONT":
         made.chosen["bucket_selection"] = Choice(
-            selection_of(settings, device.is_cuda).name,
-            "every launch is large" if device.is_cuda else "a step costs little, and fuller buckets save more",
+            selection_of(settings).name, "every launch is large" if device.is_cuda else "rays wait less often"
         )
     if settings.spatial_splits == "AUTO" and scene.splits:
         made.chosen["spatial_splits"] = scene.splits

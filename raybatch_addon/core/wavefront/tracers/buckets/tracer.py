@@ -55,10 +55,12 @@ CUDA_RAYS_FEW, CUDA_SWEEP_FEW = 256, 1 << 16
 _OCCUPANCY_STEPS = 32  # of the host between points of the occupancy
 
 
-def selection_of(settings: RenderSettings, is_cuda: bool) -> Selection:
-    """`settings.bucket_selection`; AUTO: on the CPU a step is cheap, on CUDA every launch should be large."""
+def selection_of(settings: RenderSettings) -> Selection:
+    """`settings.bucket_selection`; AUTO: every bucket in each step, so that launches are large on CUDA, and rays wait
+    less often on the CPU (docs/studies/schedulers.md).
+    """
     if settings.bucket_selection == "AUTO":
-        return Selection.ALL if is_cuda else Selection.MOST_FULL
+        return Selection.ALL
     return Selection[settings.bucket_selection]
 
 
@@ -93,7 +95,7 @@ def batching_kernels(
     """What a `BatchingTracer` launches, to be compiled ahead."""
     stages = visit_stages(layout, instancing, counters, settings, curves, moving)
     kernels = [*queue_kernels(device), *SPLIT_KERNELS]
-    if host_chooses(settings, device.is_cuda):
+    if host_chooses(settings):
         kernels.append(next_step_kernel)
         kernels += [show_kernel] if settings.treelet_cache else []
         kernels += [prefetch_kernel] if settings.is_on("treelet_prefetch") else []
@@ -132,10 +134,10 @@ def top_level_of(settings: RenderSettings) -> TopLevelTraversal:
     return TopLevelTraversal.NAIVE if asked.elects and has_tiers(settings) else asked
 
 
-def host_chooses(settings: RenderSettings, is_cuda: bool) -> bool:
+def host_chooses(settings: RenderSettings) -> bool:
     """Whether the host is asked in each step which buckets are served."""
     helped = settings.treelet_cache > 0 or settings.is_on("treelet_prefetch") or has_tiers(settings)
-    return helped or selection_of(settings, is_cuda) in SEVERAL
+    return helped or selection_of(settings) in SEVERAL
 
 
 def processor_count(settings: RenderSettings, device: wp.Device) -> int:
@@ -146,7 +148,7 @@ def processor_count(settings: RenderSettings, device: wp.Device) -> int:
 def few_rays(settings: RenderSettings, is_cuda: bool) -> int:
     """With fewer rays in every bucket, all go on unbatched; with fewer in all of them where one sweep serves all."""
     few, sweep_few = (CUDA_RAYS_FEW, CUDA_SWEEP_FEW) if is_cuda else (CPU_RAYS_FEW, CPU_SWEEP_FEW)
-    sweeps = selection_of(settings, is_cuda) == Selection.ALL and not host_chooses(settings, is_cuda)
+    sweeps = selection_of(settings) == Selection.ALL and not host_chooses(settings)
     return sweep_few if sweeps else few
 
 
@@ -175,7 +177,7 @@ class BatchingTracer:
         """
         device, counts, debug = worker.device, worker.counts, settings.is_on("debug_checks")
         self._timer, self._numbers = worker.timer, QueueNumbers(treelet_tree.treelet_count + treelet_tree.large_count)
-        self._selection = selection_of(settings, device.is_cuda)
+        self._selection = selection_of(settings)
         storage, server_type = STORAGES[settings.ray_storage], QueueServer
         queue_total, self._copies = self._numbers.queue_total, copies_of(queues_per_ray(settings), worker.slot_count)
         slot_count = worker.slot_count * self._copies
@@ -224,7 +226,7 @@ class BatchingTracer:
         self._step = self._host_steps = self._forgotten = self._forgotten_done = 0
         self._notes, self._note_every = 0, 1
         self._steps: Steps
-        if host_chooses(settings, device.is_cuda):
+        if host_chooses(settings):
             asked = assignment_of(self._selection, processor_count(settings, device), settings.seed)
             if treelet_tree.large_count:
                 asked = WithinLarge(asked, bucket_large(treelet_tree))

@@ -1,0 +1,107 @@
+"""Figures of the table, made of the data of experiments and studies: ranges over scenes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable
+from statistics import median
+from typing import Any
+
+from tables.experiment_data import FOLDER, cases, load
+from tables.rivals_table import CONTROL, kind_of, ratios
+
+STUDIES = FOLDER.parent / "studies"
+KINDS = {"primary": "camera", "bounce1": "bounce 1", "bounce4": "bounce 4"}
+
+
+def extent(values: Iterable[float]) -> str:
+    """The least and the largest, with two digits; one of them where they are alike, a dash where there is none."""
+    texts = list(dict.fromkeys(f"{value:.2f}" for value in sorted(values)))
+    return "–" if not texts else texts[0] if len(texts) == 1 else f"{texts[0]}–{texts[-1]}"
+
+
+def by_kind(value_of: Callable[[str], Iterable[float]]) -> str:
+    """Ranges for rays of each kind, such as `camera 0.50–2.00, bounce 1 0.40`."""
+    found = {name: extent(value_of(kind)) for kind, name in KINDS.items()}
+    return ", ".join(f"{name} {text}" for name, text in found.items() if text != "–") or "–"
+
+
+def rival_in_memory(name: str) -> str:
+    """Rates over those of `off`, of the best parameters, rays in their natural order."""
+    found = ratios(load("rivals-*.json"))
+    tried = [by_case for each, by_case in found.items() if kind_of(each) == name]
+    there = {case for by_case in tried for case in by_case if case[2] == "natural"}
+
+    def best(kind: str) -> list[float]:
+        return [max(by[case] for by in tried if case in by) for case in there if case[1] == kind]
+
+    return by_kind(best)
+
+
+def rival_beyond(name: str) -> str:
+    """Rates over those of `off` beyond memory."""
+
+    def values(kind: str) -> list[float]:
+        found = []
+        for report in load("beyond-*.json").values():
+            for (rays, _, _), by_name in cases(report).items():
+                mine = [result["mrays_per_s"] for each, result in by_name.items() if kind_of(each) == name]
+                if rays == kind and mine:
+                    found.append(max(mine) / by_name[CONTROL]["mrays_per_s"])
+        return found
+
+    return by_kind(values)
+
+
+def hardware(policy: str, cache: str, bytes_of: str) -> str:
+    """Bytes over those of the plain machine, queues included, at the fourth bounce."""
+    rows = [row for row in _rows("hardware-cpu.json") if row.get("kind") == "bounce4" and row.get("cache") == cache]
+    plain = {row["scene"]: row[bytes_of] for row in rows if row["policy"] == "plain"}
+    mine = {row["scene"]: row[bytes_of] for row in rows if row["policy"] == policy}
+    if not mine:
+        raise ValueError(f"the data of the hardware study has no policy {policy!r}")
+    return extent(mine[scene] / plain[scene] for scene in mine)
+
+
+def hardware_in_memory(policy: str) -> str:
+    """From the second-level cache, where that holds the scene."""
+    return f"bytes from the L2 {hardware(policy, 'large', 'l2_bytes')}"
+
+
+def hardware_beyond(policy: str) -> str:
+    """From memory, where the caches are small."""
+    return f"bytes from memory {hardware(policy, 'small', 'memory_bytes')}"
+
+
+def schedule_in_memory(name: str) -> str:
+    """Rates over those of unbatched rays."""
+    return by_kind(lambda kind: _schedule_rates(name, "memory", kind))
+
+
+def schedule_beyond(name: str) -> str:
+    """Rates over those of rays that bring in their pages in their own order."""
+    return by_kind(lambda kind: _schedule_rates(name, "beyond", kind))
+
+
+def _schedule_rates(name: str, place: str, kind: str) -> list[float]:
+    seconds: dict[tuple[str, str], list[float]] = {}
+    for row in _rows("schedulers-cpu.json"):
+        if row["place"] == place and row["kind"] == kind and row["schedule"] in (name, "unbatched"):
+            seconds.setdefault((row["scene"], row["schedule"]), []).append(row["seconds"])
+    scenes = {scene for scene, schedule in seconds if schedule == name}
+    return [median(seconds[scene, "unbatched"]) / median(seconds[scene, name]) for scene in scenes]
+
+
+def top_level_nodes(way: str) -> str:
+    """Nodes that emulated warps read, over those of NAIVE, with sweeps."""
+    rows = [row for row in _rows("top-level-cpu.json") if row["selection"] == "ALL"]
+
+    def values(kind: str) -> list[float]:
+        read = {(row["scene"], row["way"]): row["fetches"] for row in rows if row["kind"] == kind}
+        return [read[scene, way] / read[scene, "NAIVE"] for scene, its in read if its == way]
+
+    return f"nodes that warps read, of NAIVE: {by_kind(values)}"
+
+
+def _rows(name: str) -> list[dict[str, Any]]:
+    return json.loads((STUDIES / "data" / name).read_text(encoding="utf-8"))["rows"]
