@@ -29,7 +29,7 @@ from .trace import StreamTracing, TracedTree, make_trace_batch, stream_tracing
 BLOCK_SIZE = 128  # threads of a block on CUDA: warps have nothing to do with each other
 # Of a CUDA thread at most, as for the stages that take most of them: else a small scene's kernel takes 168 to 196, so
 # that a multiprocessor has half as many warps
-REGISTERS = 128
+_REGISTERS = 128
 
 _FILM, _BACKGROUND, _CONNECT = int(Queue.FILM), int(Queue.BACKGROUND), int(Queue.CONNECT)
 _SHADOW, _TRACE, _GENERATE = int(Queue.SHADOW), int(Queue.TRACE), int(Queue.GENERATE)
@@ -69,9 +69,6 @@ def stream_kernel(
         if wp.static(cut):
             stream.traced.location[slot] = wp.static(NEW)
 
-    limit = {"cuda_max_registers": registers} if registers else {}
-
-    @wp.kernel(**kernel_options(out_of_line), **limit)
     def stream_paths(
         data: SceneData,
         work: TileWork,
@@ -102,7 +99,17 @@ def stream_kernel(
                         if i < words[_BEGINS]:
                             item = words[_ITEM] + i
                             begin(
-                                data, stream.volumes, work, limits, camera, paths, rays, slots, one, stream.active, item
+                                data,
+                                stream.volumes,
+                                work,
+                                limits,
+                                camera,
+                                paths=paths,
+                                rays=rays,
+                                slots=slots,
+                                one=one,
+                                active=stream.active,
+                                item=item,
                             )
                             begins(stream, path)
                             targets[i] = _TRACE
@@ -115,13 +122,15 @@ def stream_kernel(
                     else:
                         if queue == _CONNECT:
                             path = path - paths.status.shape[0]
-                            connect(data, stream.volumes, work, limits, paths, rays, film, slots, one)
+                            connect(data, stream.volumes, work, limits, paths, rays, film=film, slots=slots, one=one)
                         elif wp.static(surface is None) or queue == _BACKGROUND:
-                            background(data, stream.volumes, work, limits, paths, rays, film, slots, one)
+                            background(data, stream.volumes, work, limits, paths, rays, film=film, slots=slots, one=one)
                         else:
                             if wp.static(surface is not None):
                                 prefetch_hits(data.geometry, rays, tokens, i, words[_HELD])
-                                surface(data, stream.volumes, work, limits, paths, rays, film, slots, one)
+                                surface(
+                                    data, stream.volumes, work, limits, paths, rays, film=film, slots=slots, one=one
+                                )
                         to = whereto(paths, path)
                         if to.queue == _SHADOW or to.queue == _TRACE:
                             begins(stream, to.token)
@@ -130,12 +139,14 @@ def stream_kernel(
             put_tokens(stream.queues, thread)
             queue = take_tokens(stream.queues, thread)
 
-    return with_block_size(stream_paths, BLOCK_SIZE)
+    limit = {"cuda_max_registers": registers} if registers else {}
+    kernel = wp.kernel(stream_paths, **kernel_options(out_of_line), **limit)
+    return with_block_size(kernel, BLOCK_SIZE)
 
 
 def kernel_for(features: SceneFeatures, tracing: Tracing, settings: RenderSettings, device: wp.Device) -> wp.Kernel:
-    """The kernel of a render with `settings`; its `register_cap` says more of registers than `REGISTERS`."""
-    registers = (settings.register_cap or REGISTERS) if device.is_cuda else 0
+    """The kernel of a render with `settings`; its `register_cap` says more of registers than `_REGISTERS`."""
+    registers = (settings.register_cap or _REGISTERS) if device.is_cuda else 0
     return stream_kernel(features, stream_tracing(tracing, features), specialised_out_of_line(), registers)
 
 
