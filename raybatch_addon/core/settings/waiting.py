@@ -106,7 +106,7 @@ class TreeletSettings:
     )
     treelet_tier_bytes: int = setting(
         0,
-        "Large Treelets",
+        "Tier Size",
         "Most memory of a large treelet, such as the size of a larger cache: rays wait there, and then at the treelets "
         "in it; with {rest} treelets are in no others. Pages of geometry beyond memory are large treelets, whatever "
         "their size",

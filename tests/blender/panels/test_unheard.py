@@ -27,7 +27,7 @@ RULED = [
     ({"batching": "OFF"}, ("bucket_selection", "queue_size", "treelet_size"), "Unused with Batching off"),
     ({"batching": "REFERENCE"}, ("geometry_budget", "geometry_store"), "Unused with Batching Reference"),
     ({"treelet_cache": 2**20}, ("queues_per_ray", "treelet_tier_bytes"), "Unused with Cached"),
-    ({"treelet_tier_bytes": 2**20}, ("queues_per_ray",), "Unused with Large Treelets"),
+    ({"treelet_tier_bytes": 2**20}, ("queues_per_ray",), "Unused with Tier Size"),
     ({"top_level_traversal": "SHORT_SEGMENT"}, ("queues_per_ray",), "Unused with Top Level Short Segment"),
     ({"queues_per_ray": 2}, ("ray_storage",), "Unused with Queues a Ray 2"),
     ({"device": "cpu"}, ("top_level_traversal", "register_cap", "block_size"), "Unused on the CPU"),
