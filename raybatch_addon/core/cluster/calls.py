@@ -23,7 +23,10 @@ def call(name, *arguments):
             if machines and not isinstance(error, errors.BudgetError):
                 raise OSError(text) from None
             return {"error": type(error).__name__, "text": text}
-    raise ModuleNotFoundError("RayBatch is not installed on this worker: pip install raybatch[cluster]")
+    raise ModuleNotFoundError(
+        "RayBatch is not installed on this worker; install its wheel: "
+        'pip install "$(echo dist/raybatch-*.whl)[cluster]"'
+    )
 
 
 def keep_copies(dask_scheduler=None):

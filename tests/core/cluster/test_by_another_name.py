@@ -65,7 +65,7 @@ def apart(tmp_path_factory):
 @pytest.fixture
 def connection(apart):
     made = Connection(apart)
-    wait_for(lambda: made.workers())
+    wait_for(made.workers)
     yield made
     made.close()
 

@@ -296,7 +296,7 @@ def test_no_scheduler_is_an_error():
 
 def test_no_dask_is_an_error(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(ClusterError, match=r"Dask is not installed .*pip install 'raybatch\[cluster\]'"):
+    with pytest.raises(ClusterError, match=r"Dask is not installed .*raybatch-\*\.whl\)\[cluster\]\""):
         Connection("tcp://127.0.0.1:9")
 
 
