@@ -114,7 +114,7 @@ class Connection:
                 f"there is no scheduler at {self._address} ({type(error).__name__}: {error}); start one with `dask "
                 "scheduler`, or name its address"
             ) from error
-        self._looked, self._scheduler = float("-inf"), self._scheduler_now
+        self._looked, self._scheduler, self._workers = float("-inf"), self._scheduler_now, []
 
     @property
     def _scheduler_now(self) -> str:
@@ -176,6 +176,9 @@ class Connection:
                     self._report(f"the worker {address} is silent; what it was asked for is rendered elsewhere")
                     self._dropped.add(address)
                     self._client.run_on_scheduler(self._leave_out, address)
+                before = {each.address for each in self._workers if each.slots}
+                for address in sorted(before - found.keys() - self._dropped):
+                    self._report(f"worker {address} ended; its work is done elsewhere")
                 self._workers = [
                     Worker(address, str(each["host"]), int(each["resources"].get(RESOURCE, 0)))
                     for address, each in found.items()
@@ -224,6 +227,15 @@ class Connection:
             with contextlib.suppress(OSError, TimeoutError, RuntimeError):
                 return next(iter(self._client.run_on_scheduler(self._failed_on, future.key)), "")
         return ""
+
+    def went_with(self, addresses: Iterable[str]) -> set[tuple[str, float]]:
+        """What the workers that went had, and Dask makes again elsewhere: keys of futures, with the time of that."""
+        with contextlib.suppress(OSError, TimeoutError, RuntimeError):
+            found = [each for address in addresses for each in self._client.get_events(address)]
+            ends = [(time, each) for time, each in found if each.get("action") == "remove-worker"]
+            kinds = "processing-tasks", "lost-computed-tasks"
+            return {(key, time) for time, each in ends for kind in kinds for key in each.get(kind, ())}
+        return set()
 
     def secure(self, future: Any) -> None:
         """Have two workers hold what `future` is of, where there are two: the end of one then loses nothing. Waits."""

@@ -32,9 +32,11 @@ def test_a_worker_that_ends_while_it_starts_is_an_error_in_one_line():
     killer = threading.Thread(target=kill_first_worker, args=(over, killed))
     killer.start()
     try:
-        with pytest.raises(ClusterError, match="the local cluster did not start .*; try again$") as raised:
-            with local_cluster(1, os.environ.get("RAYBATCH_KERNEL_CACHE")):
-                pass
+        with (
+            pytest.raises(ClusterError, match="the local cluster did not start .*; try again$") as raised,
+            local_cluster(1, os.environ.get("RAYBATCH_KERNEL_CACHE")),
+        ):
+            pass
         assert killed and "\n" not in str(raised.value)
     finally:
         over.set()
