@@ -39,6 +39,11 @@ def keep_copies(dask_scheduler=None):
             manager.policies.discard(policy)
 
 
+def has_dashboard(dask_scheduler=None):
+    """Whether the scheduler shows pages: it has none without Bokeh, or where it was started so, but an address."""
+    return bool(getattr(dask_scheduler.http_application, "applications", ()))
+
+
 def failed_on(key, dask_scheduler=None):
     """The hosts on which the task `key`, or the one that it failed by, raised its error."""
     from distributed.comm import get_address_host

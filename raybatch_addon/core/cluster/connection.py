@@ -75,8 +75,9 @@ class Connection:
         except ImportError as error:
             raise ClusterError(f"Dask is not installed ({error}): {PACKAGES}") from None
         cloudpickle.register_pickle_by_value(calls)
-        self._call, self._keep_copies, self._failed_on, self._leave_out = (
-            _ByValue(cloudpickle.dumps(each)) for each in (calls.call, calls.keep_copies, calls.failed_on, calls.drop)
+        self._call, self._keep_copies, self._has_dashboard, self._failed_on, self._leave_out = (
+            _ByValue(cloudpickle.dumps(each))
+            for each in (calls.call, calls.keep_copies, calls.has_dashboard, calls.failed_on, calls.drop)
         )
         self._distributed, self._address, self._report, self._seconds = distributed, address, report, seconds
         self._client: Any = None
@@ -91,7 +92,10 @@ class Connection:
     @property
     def dashboard(self) -> str:
         """The address of Dask's own pages on what goes on; empty where there are none."""
-        return str(getattr(self._client, "dashboard_link", "") or "")
+        with contextlib.suppress(OSError, TimeoutError, RuntimeError, AttributeError):
+            if self._client.run_on_scheduler(self._has_dashboard):
+                return str(self._client.dashboard_link or "")
+        return ""
 
     @property
     def silent(self) -> set[str]:

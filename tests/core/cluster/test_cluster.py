@@ -274,6 +274,20 @@ def test_who_is_at_fault_for_an_error(connection):
         assert connection.failed_on(future) == host
 
 
+def test_a_dashboard_is_there_where_the_scheduler_shows_one(connection):
+    assert connection.dashboard == ""  # though it has an address for one
+    assert connection._client.run_on_scheduler(shown_pages, True) == 1
+    assert connection.dashboard.endswith("/status")
+    assert connection._client.run_on_scheduler(shown_pages, False) == 0
+
+
+def shown_pages(are_there, dask_scheduler=None):
+    """Stand-ins for those of Bokeh; how many there are."""
+    pages = dask_scheduler.http_application.applications
+    pages[:] = [None] if are_there else []
+    return len(pages)
+
+
 def test_machines_that_went_are_known_for_a_while(connection):
     connection._known |= {"a": connection._looked - 10.0}
     assert connection.known_hosts(11.0) == {"a", "127.0.0.1"}
