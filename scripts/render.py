@@ -18,7 +18,7 @@ held = HeldSignals() if __name__ == "__main__" else None  # until all is importe
 
 from lib.command import CommandParser, UsageError, run_command
 from lib.output import OutputFolders, leave
-from rendering.cluster import check_cluster, cluster_session
+from rendering.cluster import check_cluster, open_session, refuse_own_device
 from rendering.request import (
     ARCHIVE,
     INTERVAL_DEFAULT,
@@ -234,7 +234,9 @@ def request_from(options: argparse.Namespace) -> Request:
         raise UsageError("--multilayer says what file -o is: give -o FILE.exr too")
     if options.checkpoint_interval and not options.checkpoint:
         raise UsageError("--checkpoint-interval says how often a checkpoint is written: give --checkpoint FILE too")
-    assignments = options.set + ([f"device={options.device}"] if options.device else [])
+    assignments = options.set + ([] if options.device is None else [f"device={options.device}"])
+    if options.cluster:
+        refuse_own_device(assignments)
     settings, resolution = parse_settings(assignments, options.preset)
     for name, option, ending in ((options.film, "--film", ".npz"), (options.save_scene, "--save-scene", ".scene.npz")):
         if name and not name.lower().endswith(ending):
@@ -274,10 +276,11 @@ def prewarm(device: str | None) -> None:
     from raybatch_addon.blender.kernel_cache import kernel_cache_folder
     from raybatch_addon.core.device.kept_kernels import keep_or_fail
     from raybatch_addon.core.session import Session
+    from raybatch_addon.core.settings.settings import RenderSettings
 
     keep_or_fail()
     folder = kernel_cache_folder()
-    session = Session(device or "AUTO", cache_folder=folder)
+    session = Session(settings=RenderSettings(device="AUTO" if device is None else device), cache_folder=folder)
     names = session.prewarm(
         on_progress=lambda done, total: print(f"compiled {done} of {total} modules", file=sys.stderr)
     )
@@ -295,19 +298,21 @@ def render(request: Request, folders: OutputFolders, standard_output) -> None:
     if not request.source.is_file():
         raise UsageError(f"there is no file {request.source}")
     with contextlib.ExitStack() as stack:
-        session = None
+        opened = None
         if request.cluster and request.renders:
-            session = stack.enter_context(cluster_session(request.cluster))
+            opened = functools.partial(open_session, stack, request.cluster)
         if request.kind in (ARCHIVE, NPZ):
             from rendering.standalone import render_standalone
 
-            render_standalone(request, folders, ProgressBar(), standard_output, session)
+            render_standalone(request, folders, ProgressBar(), standard_output, opened)
         else:
-            _render_by_blender(request, folders, standard_output, session)
+            _render_by_blender(request, folders, standard_output, opened)
 
 
-def _render_by_blender(request: Request, folders: OutputFolders, standard_output, session) -> None:
-    """The same by Blender's module; `session` renders instead of one of this process, if it is there."""
+def _render_by_blender(request: Request, folders: OutputFolders, standard_output, opened) -> None:
+    """The same by Blender's module; what `opened` returns for its settings, if it is given, renders instead of this
+    process.
+    """
     from rendering.progress import ProgressBar
 
     with HeldSignals():
@@ -322,10 +327,8 @@ def _render_by_blender(request: Request, folders: OutputFolders, standard_output
 
         from raybatch_addon.blender import sessions
 
-    if session is not None:
-        sessions.instead = lambda settings: session
     try:
-        BlenderRender(request, folders, ProgressBar(), standard_output).run()
+        BlenderRender(request, folders, ProgressBar(), standard_output, opened).run()
     finally:
         sessions.instead = None
 

@@ -13,8 +13,9 @@ from lib.command import RefusedError, UsageError
 from lib.output import OutputFolders, described, numbered, print_notes, print_saved, print_warnings, write_json
 
 import raybatch_addon
-from raybatch_addon.blender import checkpoints, reports
+from raybatch_addon.blender import checkpoints, reports, sessions
 from raybatch_addon.blender.checkpoints import AskedCheckpoint
+from raybatch_addon.core.cluster.session import ClusterSession
 from raybatch_addon.core.errors import RayBatchError, SceneError
 from raybatch_addon.core.film import Film
 from raybatch_addon.core.observers import Progress
@@ -50,7 +51,18 @@ class _SceneSaved(RayBatchError):
 class BlenderRender:
     """The renders of one request."""
 
-    def __init__(self, request: Request, folders: OutputFolders, bar: ProgressBar, standard_output) -> None:
+    def __init__(
+        self,
+        request: Request,
+        folders: OutputFolders,
+        bar: ProgressBar,
+        standard_output,
+        opened: Callable[[RenderSettings], ClusterSession] | None = None,
+    ) -> None:
+        """The session that `opened` returns for the file's settings, if it is given, renders instead of this
+        process.
+        """
+        self._opened = opened
         self._request, self._folders, self._bar, self._standard_output = request, folders, bar, standard_output
         self._films: list[tuple[str, Film]] = []  # of the frame in work, by view layer
         self._statistics: list[dict[str, Any]] = []
@@ -80,6 +92,9 @@ class BlenderRender:
                 raise UsageError(
                     "--save-scene holds one picture: choose one frame with --frame and one layer with --view-layer"
                 )
+            if self._opened is not None:
+                session = self._opened(settings_from(scene))
+                sessions.instead = lambda settings: session
             with self._stops:
                 if request.out and scene.render.is_movie_format and not picture_formats(request.out):
                     self._render_movie(scene, Path(_absolute(request.out)), frames)

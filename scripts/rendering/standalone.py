@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 from typing import IO
 
@@ -38,9 +39,15 @@ from rendering.stops import StopRequests
 
 
 def render_standalone(
-    request: Request, folders: OutputFolders, bar: ProgressBar, standard_output, session: ClusterSession | None = None
+    request: Request,
+    folders: OutputFolders,
+    bar: ProgressBar,
+    standard_output,
+    opened: Callable[[RenderSettings], ClusterSession] | None = None,
 ) -> None:
-    """Render `request.source`, by `session` if there is one, and write what was asked for; raises `RayBatchError`."""
+    """Render `request.source`, by the session that `opened` returns for its settings, if it is given, and write what
+    was asked for; raises `RayBatchError`.
+    """
     if request.settings_from:
         raise UsageError(f"{request.source} holds no settings of other engines; --settings-from is for .blend files")
     if request.frames is not None or request.view_layers:
@@ -74,7 +81,7 @@ def render_standalone(
     denoiser = library_for(settings)
     scene = with_guides(scene, settings)
     parts.enter("start")
-    renderer = session or Session(settings.device, settings, kernel_cache_folder())
+    renderer = opened(settings) if opened else Session(settings.device, settings, kernel_cache_folder())
     try:
         with StopRequests() as stops:
             film = renderer.render(

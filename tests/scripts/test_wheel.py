@@ -1,5 +1,6 @@
 """The library: its wheel is built, installed apart from this checkout, and used as its page says."""
 
+import inspect
 import os
 import re
 import subprocess
@@ -8,13 +9,16 @@ import zipfile
 
 import numpy as np
 import pytest
+from package import project_version
 
+from raybatch_addon.core.cluster import calls
+from raybatch_addon.core.cluster.connection import PACKAGES
 from raybatch_addon.core.scene.archive import save_scene
 from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support import scenes
 from tests.support.command_line import ROOT
 
-PAGE = ROOT / "docs/library.md"
+PAGE, CLUSTER_PAGE = ROOT / "docs/library.md", ROOT / "docs/cluster.md"
 CORE = ROOT / "raybatch_addon/core"
 
 
@@ -58,6 +62,20 @@ def test_the_wheel_has_all_files_of_the_core(wheel):
     }
     assert names == there and "raybatch/py.typed" in names
     assert re.search(r"^Requires-Dist: warp-lang<1.20,>=1.19$", about, re.MULTILINE)
+
+
+def test_it_is_installed_for_clusters_as_the_page_and_errors_say(wheel, tmp_path):
+    (tmp_path / "dist").symlink_to(wheel.parent)
+    (tmp_path / "bin").mkdir()
+    pip = tmp_path / "bin/pip"
+    pip.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m pip "$@" --dry-run --no-deps --no-index\n')
+    pip.chmod(0o755)
+    variables = {**os.environ, "PATH": f"{pip.parent}{os.pathsep}{os.environ['PATH']}"}
+    said = [CLUSTER_PAGE.read_text(encoding="utf-8"), PACKAGES, inspect.getsource(calls)]
+    for text in said:
+        (command,) = re.findall(r'pip install "\$.*\[cluster\]"', text)
+        done = subprocess.run(command, shell=True, capture_output=True, text=True, env=variables, cwd=tmp_path)
+        assert done.returncode == 0 and f"Would install raybatch-{project_version()}" in done.stdout, done.stderr
 
 
 def test_its_names_are_there(installed, tmp_path):

@@ -23,7 +23,10 @@ def call(name, *arguments):
             if machines and not isinstance(error, errors.BudgetError):
                 raise OSError(text) from None
             return {"error": type(error).__name__, "text": text}
-    raise ModuleNotFoundError("RayBatch is not installed on this worker: pip install raybatch[cluster]")
+    raise ModuleNotFoundError(
+        "RayBatch is not installed on this worker; install its wheel: "
+        'pip install "$(echo dist/raybatch-*.whl)[cluster]"'
+    )
 
 
 def keep_copies(dask_scheduler=None):
@@ -34,6 +37,11 @@ def keep_copies(dask_scheduler=None):
     for policy in [*getattr(manager, "policies", ())]:
         if type(policy).__name__ == "ReduceReplicas":
             manager.policies.discard(policy)
+
+
+def has_dashboard(dask_scheduler=None):
+    """Whether the scheduler shows pages: it has none without Bokeh, or where it was started so, but an address."""
+    return bool(getattr(dask_scheduler.http_application, "applications", ()))
 
 
 def failed_on(key, dask_scheduler=None):

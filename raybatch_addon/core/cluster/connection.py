@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import pickle
 import threading
 import time
 import uuid
@@ -26,11 +27,28 @@ _TOLD_SECONDS = 10.0  # words come at once, or their worker has ended
 _SECURE_SECONDS = 60.0  # a film that is not copied by then is lost with its worker, if that ends
 # A worker of which the scheduler heard nothing for so long, but of others, is taken to be gone [s]
 SILENT_SECONDS = 30.0
-PACKAGES = "pip install 'raybatch[cluster]'"
+# What installs Dask: the package is on no index
+PACKAGES = 'install the wheel with its extra: pip install "$(echo dist/raybatch-*.whl)[cluster]"'
 
 
 class ClusterError(RayBatchError):
     """Why a cluster does not render."""
+
+
+class _ByValue:
+    """A function that Dask sends with its code: the scheduler may not have the library at all, and workers may have it
+    by another name.
+    """
+
+    def __init__(self, sent: bytes):
+        """`sent`: the function as cloudpickle writes it with its code."""
+        self._sent = sent
+
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
+        return pickle.loads(self._sent)(*arguments, **named)
+
+    def __reduce__(self) -> tuple[Callable[[bytes], Any], tuple[bytes]]:
+        return pickle.loads, (self._sent,)  # there it is the function itself
 
 
 @dataclass(frozen=True)
@@ -56,7 +74,11 @@ class Connection:
             import distributed
         except ImportError as error:
             raise ClusterError(f"Dask is not installed ({error}): {PACKAGES}") from None
-        cloudpickle.register_pickle_by_value(calls)  # workers may know the library by another name
+        cloudpickle.register_pickle_by_value(calls)
+        self._call, self._keep_copies, self._has_dashboard, self._failed_on, self._leave_out = (
+            _ByValue(cloudpickle.dumps(each))
+            for each in (calls.call, calls.keep_copies, calls.has_dashboard, calls.failed_on, calls.drop)
+        )
         self._distributed, self._address, self._report, self._seconds = distributed, address, report, seconds
         self._client: Any = None
         self._looked, self._workers = float("-inf"), list[Worker]()
@@ -70,7 +92,10 @@ class Connection:
     @property
     def dashboard(self) -> str:
         """The address of Dask's own pages on what goes on; empty where there are none."""
-        return str(getattr(self._client, "dashboard_link", "") or "")
+        with contextlib.suppress(OSError, TimeoutError, RuntimeError, AttributeError):
+            if self._client.run_on_scheduler(self._has_dashboard):
+                return str(self._client.dashboard_link or "")
+        return ""
 
     @property
     def silent(self) -> set[str]:
@@ -86,14 +111,14 @@ class Connection:
             self._client = self._distributed.Client(
                 self._address, timeout=self._seconds, set_as_default=False, direct_to_workers=False
             )
-            self._client.run_on_scheduler(calls.keep_copies)
+            self._client.run_on_scheduler(self._keep_copies)
         except (OSError, TimeoutError, ValueError) as error:
             self._drop()
             raise ClusterError(
                 f"there is no scheduler at {self._address} ({type(error).__name__}: {error}); start one with `dask "
                 "scheduler`, or name its address"
             ) from error
-        self._looked, self._scheduler = float("-inf"), self._scheduler_now
+        self._looked, self._scheduler, self._workers = float("-inf"), self._scheduler_now, []
 
     @property
     def _scheduler_now(self) -> str:
@@ -154,7 +179,10 @@ class Connection:
                 for address in silent - self._dropped:
                     self._report(f"the worker {address} is silent; what it was asked for is rendered elsewhere")
                     self._dropped.add(address)
-                    self._client.run_on_scheduler(calls.drop, address)
+                    self._client.run_on_scheduler(self._leave_out, address)
+                before = {each.address for each in self._workers if each.slots}
+                for address in sorted(before - found.keys() - self._dropped):
+                    self._report(f"worker {address} ended; its work is done elsewhere")
                 self._workers = [
                     Worker(address, str(each["host"]), int(each["resources"].get(RESOURCE, 0)))
                     for address, each in found.items()
@@ -172,7 +200,7 @@ class Connection:
         it takes a worker's slot. When it is done, `wait` ends.
         """
         future = self._client.submit(
-            calls.call,
+            self._call,
             name,
             *arguments,
             key=f"raybatch-{name}-{self._own}-{next(self._names)}",
@@ -201,8 +229,17 @@ class Connection:
         """
         if future.status == "error" and isinstance(future.exception(), (OSError, MemoryError, ImportError)):
             with contextlib.suppress(OSError, TimeoutError, RuntimeError):
-                return next(iter(self._client.run_on_scheduler(calls.failed_on, future.key)), "")
+                return next(iter(self._client.run_on_scheduler(self._failed_on, future.key)), "")
         return ""
+
+    def went_with(self, addresses: Iterable[str]) -> set[tuple[str, float]]:
+        """What the workers that went had, and Dask makes again elsewhere: keys of futures, with the time of that."""
+        with contextlib.suppress(OSError, TimeoutError, RuntimeError):
+            found = [each for address in addresses for each in self._client.get_events(address)]
+            ends = [(time, each) for time, each in found if each.get("action") == "remove-worker"]
+            kinds = "processing-tasks", "lost-computed-tasks"
+            return {(key, time) for time, each in ends for kind in kinds for key in each.get(kind, ())}
+        return set()
 
     def secure(self, future: Any) -> None:
         """Have two workers hold what `future` is of, where there are two: the end of one then loses nothing. Waits."""

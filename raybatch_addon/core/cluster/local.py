@@ -72,7 +72,15 @@ def local_cluster(count: int, kernel_cache: str | None = None) -> Iterator[str]:
     options = {"dashboard": False, "dashboard_address": ":0", "host": "127.0.0.1"}
     scheduler = {"cls": distributed.Scheduler, "options": options}
     workers = {i: worker(i) for i in range(count)}
-    with dask.config.set(_DASK), Cluster(workers=workers, scheduler=scheduler, silence_logs=logging.ERROR) as cluster:
+    with dask.config.set(_DASK), contextlib.ExitStack() as stack:
+        try:  # the start alone: errors of who renders on it are their own
+            cluster = stack.enter_context(Cluster(workers=workers, scheduler=scheduler, silence_logs=logging.ERROR))
+        except (RuntimeError, TimeoutError, OSError) as error:
+            why = " ".join(str(error).split()) or type(error).__name__
+            raise ClusterError(
+                f"the local cluster did not start ({why}): a worker ended while it started, or took too long, perhaps "
+                f"for want of memory; try again{', or with fewer workers' if count > 1 else ''}"
+            ) from error
         cluster.adapt(minimum=count, maximum=count, interval="1 s")
         over = threading.Event()
         watch = threading.Thread(target=_watch, args=(cluster, over), daemon=True)

@@ -14,6 +14,7 @@ from .keeping import ClusterKeeper, Received, sound
 from .parts import SceneParts, part_digest
 from .ranges import MergeTree, RangeDeal, SampleRange
 from .report.events import ClusterEvents, EventKind
+from .report.tasks_again import TasksAgain
 from .rounds import ClusterRounds
 from .staging import LeftOut, Staging
 
@@ -69,7 +70,7 @@ class ClusterRender:
         self._pictures: list[tuple[Region, dict[str, Any]]] = []
         self.wants_pictures = False  # somebody looks at them
         self.workers: list[Worker] = []
-        self.tasks_again = 0  # tasks that were rendered again, or by two
+        self.tasks_again = TasksAgain()
         self.events = ClusterEvents()
         self.left_out = LeftOut(self.events)  # machines that are asked for nothing
         self.rays = 0  # that were traced
@@ -144,7 +145,9 @@ class ClusterRender:
     def look(self) -> None:
         """See what came; raises `ClusterError`."""
         self.workers = self._connection.workers()
-        self.events.see_workers((each.address for each in self.workers), self._connection.silent)
+        gone = self.events.see_workers((each.address for each in self.workers), self._connection.silent)
+        if gone:
+            self.tasks_again.give(self._connection.went_with(gone))
         self._staging.step(self.workers)
         self._see_lost({each.host for each in self.workers})
         self._see_tasks()
@@ -171,14 +174,14 @@ class ClusterRender:
             if running < slots and is_alone and self._deal.is_late(task.samples, now - task.begun):
                 task.futures.append(self._asked(task.samples, hosts))
                 task.hosts |= hosts
-                self.tasks_again += 1
+                self.tasks_again.ask()
                 self.events.note("TASK_LATE", str(task.samples), "another worker renders it too")
                 running += 1
 
     def _asked(self, samples: SampleRange, hosts: frozenset[str]) -> Any:
         band = self._bands[samples.band]
         what = self._parts.recipe, self._parts.digest, band, samples.first, samples.count, self._stopped
-        return self._connection.submit("render", *what, workers=hosts, slot=True)
+        return self.tasks_again.know(self._connection.submit("render", *what, workers=hosts, slot=True))
 
     # --- what came
 
@@ -196,17 +199,16 @@ class ClusterRender:
             if not film.future.done() and not all(each & hosts for each in film.hosts):
                 if film in self._unsafe:
                     self._unsafe.remove(film)
-                elif film in fetched:
-                    self._put_back()
-                    self._take(film.samples)
                 else:
+                    if film in fetched:
+                        self._put_back()
                     self._take(film.samples)
                 self.events.note("TASK_LOST", str(film.samples), "its film went with all machines that had it")
                 self._render_again(film.samples, [film.future])
 
     def _render_again(self, samples: SampleRange, futures: list[Any]) -> None:
         self._connection.cancel(futures)
-        self.tasks_again += 1
+        self.tasks_again.ask(futures)
         self._again += self._deal.cut(samples)
 
     def _see_tasks(self) -> None:
@@ -346,12 +348,7 @@ class ClusterRender:
         for each in taken:
             try:
                 film, its = films.received_film(sound(each.future.result()))
-            except (
-                films.DamagedFilm,
-                OSError,
-                MemoryError,
-                CancelledError,
-            ) as error:  # or its workers or the scheduler went
+            except (films.DamagedFilm, OSError, MemoryError, CancelledError) as error:  # or the scheduler went, or all
                 raise _FilmLost(each, str(error)) from error
             parts.append(film)
             shares += its

@@ -33,6 +33,15 @@ _POLL_SECONDS = 0.05
 RENDERS_MOST = 4
 
 
+def refuse_clock(settings: RenderSettings) -> None:
+    """Raise `SettingsError` for settings that need the clock of one process."""
+    if settings.time_limit:
+        raise SettingsError(
+            "time_limit ends a render by the clock of one process, and workers of a cluster do not come to their "
+            "samples at the same time; set it to 0, or set error_target, or a number of samples"
+        )
+
+
 class PendingFilm:
     """A render on a cluster that goes on by itself."""
 
@@ -134,11 +143,7 @@ class ClusterSession:
 
         Raises `SettingsError` for settings that need a clock, and `ClusterError`.
         """
-        if settings.time_limit:
-            raise SettingsError(
-                "time_limit ends a render by the clock of one process, and workers of a cluster do not come to their "
-                "samples at the same time; set it to 0, or set error_target, or a number of samples"
-            )
+        refuse_clock(settings)
         parts = parts or Parts("check")
         parts.enter("check")
         check_samples(settings, sample_first)

@@ -105,6 +105,11 @@ def warp_cache_folder() -> Path:
 
 def find_device(name: str) -> wp.Device:
     """The device called `name`: AUTO, cpu or cuda:N; raises `DeviceError` that lists what there is."""
+    return _find_device(name)
+
+
+def _find_device(name: str, *others: str) -> wp.Device:
+    """The same; `others` may be given besides."""
     start_warp()
     cuda = [device.alias for device in wp.get_cuda_devices()]
     text = name.strip().lower()
@@ -113,8 +118,9 @@ def find_device(name: str) -> wp.Device:
     elif text == "cuda" and cuda:
         text = cuda[0]
     if text != "cpu" and text not in cuda:
-        there = ", ".join(["AUTO", "cpu", *cuda])
-        why = "" if cuda else "; no CUDA device was found (is the NVIDIA driver installed?)"
+        there = ", ".join(["AUTO", "cpu", *cuda, *others])
+        is_asked = text.startswith("cuda") and not cuda
+        why = "; no CUDA device was found (is the NVIDIA driver installed?)" if is_asked else ""
         raise DeviceError(f"there is no device {name!r}: choose one of {there}{why}")
     device = wp.get_device(text)
     if device.is_cuda:
@@ -134,7 +140,9 @@ def find_devices(names: str) -> list[wp.Device]:
     for name in names.split(","):
         if not name.strip() and names.strip():
             raise DeviceError(f"{names!r} has a comma too many")
-        device = find_device(name)
+        if name.strip().upper() == "ALL":
+            raise DeviceError(f"{names!r} names ALL and others; give ALL alone")
+        device = _find_device(name, "ALL")
         if device in found:
             raise DeviceError(f"{names!r} names {device.alias} twice; name each device once")
         found.append(device)

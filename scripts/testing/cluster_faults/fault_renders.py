@@ -187,7 +187,7 @@ def run(options: argparse.Namespace, folders: OutputFolders, standard_output: IO
     try:
         import distributed
     except ImportError as error:
-        raise UsageError(f"Dask is not installed ({error}): pip install 'raybatch[cluster]'") from None
+        raise UsageError(f"Dask is not installed ({error}); `make environment` installs it") from None
     del distributed
     from raybatch_addon.blender.kernel_cache import kernel_cache_folder
     from raybatch_addon.core.cluster import bands, connection, ranges

@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -21,6 +22,7 @@ from raybatch_addon.core.checkpoint.file import CheckpointError
 from raybatch_addon.core.cluster import calls, films, work
 from raybatch_addon.core.cluster import connection as connection_module
 from raybatch_addon.core.cluster.connection import ClusterError, Connection, is_diagnosed, why_lost
+from raybatch_addon.core.cluster.report.tasks_again import TasksAgain
 from raybatch_addon.core.cluster.session import ClusterSession
 from raybatch_addon.core.errors import BudgetError, DeviceError, SettingsError
 from tests.core.cluster.clusters import SETTINGS, cut_into, wait_for
@@ -104,6 +106,44 @@ def test_workers_that_are_killed_lose_nothing(connection, expected, long_tasks, 
     gone = [each["who"] for each in film.statistics["cluster"]["events"] if each["kind"] == "WORKER_GONE"]
     assert {*gone} <= {*killed}
     wait_for(lambda: len(connection.workers()) == 2)
+
+
+def test_a_task_whose_worker_is_killed_counts_and_is_said(connection, expected, long_tasks):
+    notes, killed = [], []
+    connection._report = notes.append
+
+    def kill(_progress):
+        if killed:
+            return
+        for address, pid in pids(connection).items():
+            os.kill(pid, signal.SIGSTOP)  # it keeps what it has, but for what it has sent
+            time.sleep(0.1)
+            if any(key.startswith("raybatch-render-") for key in connection._client.processing()[address]):
+                os.kill(pid, signal.SIGKILL)
+                killed.append(address)
+                return
+            os.kill(pid, signal.SIGCONT)
+
+    film = render(connection, on_progress=kill)
+    assert_same_film(film, expected)
+    cluster = film.statistics["cluster"]
+    late = [each for each in cluster["events"] if each["kind"] == "TASK_LATE"]
+    assert cluster["tasks_again"] >= 1 + len(late)
+    assert notes == [f"worker {killed[0]} ended; its work is done elsewhere"]
+    wait_for(lambda: len(connection.workers()) == 2)
+
+
+def test_a_task_that_dask_gives_out_again_counts_once_each_time():
+    again, futures = TasksAgain(), [SimpleNamespace(key=key) for key in "ab"]
+    assert [again.know(each) for each in futures] == futures
+    again.give({("a", 1.0), ("b", 1.0), ("of another render", 1.0)})
+    again.give({("a", 1.0), ("a", 2.0)})
+    assert again.count == 3
+    again.ask(futures[:1])  # instead of what Dask does
+    again.give({("a", 3.0)})
+    assert again.count == 2
+    again.ask()
+    assert again.count == 3
 
 
 def test_a_worker_that_is_stopped_is_left_out(connection, expected, long_tasks, monkeypatch):
@@ -234,6 +274,20 @@ def test_who_is_at_fault_for_an_error(connection):
         assert connection.failed_on(future) == host
 
 
+def test_a_dashboard_is_there_where_the_scheduler_shows_one(connection):
+    assert connection.dashboard == ""  # though it has an address for one
+    assert connection._client.run_on_scheduler(shown_pages, True) == 1
+    assert connection.dashboard.endswith("/status")
+    assert connection._client.run_on_scheduler(shown_pages, False) == 0
+
+
+def shown_pages(are_there, dask_scheduler=None):
+    """Stand-ins for those of Bokeh; how many there are."""
+    pages = dask_scheduler.http_application.applications
+    pages[:] = [None] if are_there else []
+    return len(pages)
+
+
 def test_machines_that_went_are_known_for_a_while(connection):
     connection._known |= {"a": connection._looked - 10.0}
     assert connection.known_hosts(11.0) == {"a", "127.0.0.1"}
@@ -296,7 +350,7 @@ def test_no_scheduler_is_an_error():
 
 def test_no_dask_is_an_error(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(ClusterError, match=r"Dask is not installed .*pip install 'raybatch\[cluster\]'"):
+    with pytest.raises(ClusterError, match=r"Dask is not installed .*raybatch-\*\.whl\)\[cluster\]\""):
         Connection("tcp://127.0.0.1:9")
 
 

@@ -301,6 +301,13 @@ def test_an_unknown_device_is_refused_at_once_with_those_there_are(name):
     with pytest.raises(DeviceError) as caught:
         Session(device=name or " ")
     assert repr(name or " ") in str(caught.value) and "choose one of AUTO, cpu" in str(caught.value)
+    assert ", ALL" in str(caught.value)
+    assert name.startswith("cuda") or "NVIDIA" not in str(caught.value)  # where it was not asked for
+
+
+def test_all_devices_and_others_are_refused():
+    with pytest.raises(DeviceError, match="'cpu,ALL' names ALL and others; give ALL alone"):
+        Session(device="cpu,ALL")
 
 
 def test_cuda_where_there_is_none(monkeypatch):

@@ -7,7 +7,11 @@ import pytest
 import render
 from lib.held import HeldSignals
 
+from raybatch_addon.core.scene.archive import save_scene
+from raybatch_addon.core.settings.settings import RenderSettings
+from tests.support import scenes
 from tests.support.command_line import error_line, run_script
+from tests.support.scripts_here import call_script
 
 # Python code: the process stops itself when it imports the module called so
 STOPPED_AT = """
@@ -52,6 +56,15 @@ def test_an_option_that_there_is_not_is_one_line_with_the_likeliest(capsys, argu
 def test_a_name_or_value_that_there_is_not_says_what_may_be_meant(tmp_path, arguments, said):
     done = run_script("render.py", tmp_path / "scene.blend", "-o", tmp_path / "x.png", *arguments)
     assert done.returncode == 1 and said in error_line(done)
+
+
+def test_an_empty_device_is_none(tmp_path):
+    path = tmp_path / "scene.scene.npz"
+    save_scene(path, scenes.mixed(scenes.Frame(6, 4)), RenderSettings())
+    for arguments in ([path, "-o", tmp_path / "x.png"], ["--prewarm"]):
+        done = call_script("render.py", *arguments, "--device", "")
+        assert done.returncode == 1
+        assert done.stderr.startswith("render.py: error: there is no device '': choose one of AUTO, cpu")
 
 
 @pytest.fixture

@@ -41,12 +41,12 @@ class ClusterEvents:
         seconds = round(time.monotonic() - self._begun, 3)
         self.all.append({"seconds": seconds, "kind": kind, "who": who, "text": text})
 
-    def see_workers(self, addresses: Iterable[str], silent: Iterable[str]) -> None:
-        """Note who went and came since the last look; `silent` are those that were left out for that."""
+    def see_workers(self, addresses: Iterable[str], silent: Iterable[str]) -> set[str]:
+        """Note who came and went since the last look, and return the latter; `silent` were left out for that."""
         now, silent = set(addresses), set(silent)
         before, self._workers = self._workers, now
         if before is None:
-            return
+            return set()
         for address in sorted(before - now):
             if address in silent:
                 self.note("WORKER_SILENT", address, "nothing was heard of it; its work is done elsewhere")
@@ -54,3 +54,4 @@ class ClusterEvents:
                 self.note("WORKER_GONE", address, "it ended, or lost its connection; its work is done elsewhere")
         for address in sorted(now - before):
             self.note("WORKER_CAME", address, "it helps from now on")
+        return before - now

@@ -57,7 +57,7 @@ def cluster_statistics(
                 | {"device": each["device"]["name"]}
                 for each in shares
             ],
-            "tasks_again": render.tasks_again,
+            "tasks_again": render.tasks_again.count,
             "events": render.events.all,
             "events_left_out": render.events.left_out,
         },
