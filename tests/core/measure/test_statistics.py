@@ -10,7 +10,7 @@ from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support import schedule_scenes
 
 # of pages, where something is wrong, or where several devices hold them
-NOT_ALWAYS = {"page_file_warning", "store_warning", "peer_count", "peer_bytes", "host_bytes"}
+NOT_ALWAYS = {"large_treelets", "page_file_warning", "store_warning", "peer_count", "peer_bytes", "host_bytes"}
 TEXT = (Path(__file__).resolve().parents[3] / "docs/statistics.md").read_text(encoding="utf-8")
 RENDERS = {
     "unbatched": dict(batching="OFF", ray_sort="ON", counters="ON"),

@@ -64,6 +64,8 @@ class TileCarrier:
         """Begin to copy the tiles `numbers` to slots at `addresses`, uint64, which nobody reads any more, behind those
         that were carried before; their bytes there. Of these only the last may still be under way.
         """
+        if self._stream:  # behind what the device was told before, of slots too
+            self._stream.wait_event(self._device.stream.record_event())
         records = self._records[numbers]
         records["target"] = addresses
         is_read = records["source"] != 0
