@@ -190,19 +190,34 @@ class Judge:
 
     def compare(self, rays: CapturedRays, hits: Hits, other: Hits) -> Verdict:
         """Judge `hits` where they differ from those of `other`."""
+        return self._judged(rays, np.flatnonzero(self._differ(rays, hits, other)), hits)[0]
+
+    def compare_both(self, rays: CapturedRays, hits: Hits, other: Hits) -> tuple[Verdict, Verdict]:
+        """Judge `hits`, and those of `other`, where they differ from each other."""
+        differ = self._differ(rays, hits, other) | self._differ(rays, other, hits)
+        mine, theirs = self._judged(rays, np.flatnonzero(differ), hits, other)
+        return mine, theirs
+
+    def _differ(self, rays: CapturedRays, hits: Hits, other: Hits) -> np.ndarray:
+        """By ray: whether its hits differ by more than roundings."""
         differ = hits.hit != other.hit
         if hits.t is not None:
             both = hits.hit & other.hit
             mine, theirs = (np.where(both, each.t, 0).astype(np.float64) for each in (hits, other))
             differ |= np.abs(mine - theirs) > 8 * UNIT_ROUNDOFF * (self._scale(rays.origin) + theirs)
-        where = np.flatnonzero(differ)
-        pairs = PAIRS_MAX["cuda" if self._device.is_cuda else "cpu"]
-        judged = where[: max(1, pairs // len(self._triangles))]
+        return differ
+
+    def _judged(self, rays: CapturedRays, where: np.ndarray, *answers: Hits) -> list[Verdict]:
+        """Judge `answers` for the rays `where`, or of more than there is time for, for some that lie evenly in them."""
+        most = max(1, PAIRS_MAX["cuda" if self._device.is_cuda else "cpu"] // len(self._triangles))
+        judged = where[np.linspace(0, len(where) - 1, most).astype(int)] if len(where) > most else where
         if not len(judged):
-            return Verdict(0, 0, 0)
+            return [Verdict(0, 0, 0)] * len(answers)
         before, after = self.certainties(rays.taken(judged))
-        wrong = faults(hits.hit[judged], None if hits.t is None else hits.t[judged], before, after)
-        return Verdict(len(where), len(judged), int(wrong.sum()))
+        wrong = [
+            faults(each.hit[judged], None if each.t is None else each.t[judged], before, after) for each in answers
+        ]
+        return [Verdict(len(where), len(judged), int(each.sum())) for each in wrong]
 
 
 def faults(hit: np.ndarray, t: np.ndarray | None, before: np.ndarray, after: np.ndarray) -> np.ndarray:

@@ -9,7 +9,8 @@ import benchmark
 import numpy as np
 import pytest
 import warp as wp
-from benchmarking.judge import Judge, faults
+from benchmarking import judge as judging
+from benchmarking.judge import Judge, Verdict, faults
 from benchmarking.orders import ORDERS, ordered, sort_keys
 from benchmarking.rays import CapturedRays, capture_rays, parse_ray_types
 from benchmarking.scenes import SceneRequest, load_benchmark_scene, repeated
@@ -184,6 +185,22 @@ def test_instances_are_judged_in_their_places():
     )
     assert np.isfinite(before).tolist() == np.isfinite(after).tolist() == [True, True, False]
     assert before[:2] == pytest.approx([4.6, 4.6], abs=0.1)
+
+
+def test_of_many_rays_that_differ_some_are_judged_evenly_and_once_for_both(monkeypatch):
+    scene = scenes.scene([(scenes.plane(size=40.0), scenes.translation(0, 0, 0), scenes.diffuse())])
+    judge, count = Judge(flatten(scene), scene.instances.visibility, wp.get_device("cpu")), 100
+    origin = np.column_stack([np.linspace(-9, 9, count), np.zeros(count), np.ones(count)]).astype(np.float32)
+    down = np.tile(np.array([[0, 0, -1]], np.float32), (count, 1))
+    limits, seen_by = np.full(count, np.inf, np.float32), np.ones(count, np.int32)
+    rays = CapturedRays(parse_ray_types("primary")[0], origin, down, limits, seen_by)
+    right = Hits(np.ones(count, bool), np.ones(count, np.float32))
+    wrong = Hits(np.arange(count) < 50, np.ones(count, np.float32))
+    monkeypatch.setitem(judging.PAIRS_MAX, "cpu", 10 * len(scene.meshes[0].triangles))
+    asked = []
+    monkeypatch.setattr(judge, "certainties", lambda rays: (asked.append(rays), Judge.certainties(judge, rays))[1])
+    assert judge.compare_both(rays, wrong, right) == (Verdict(50, 10, 10), Verdict(50, 10, 0))
+    assert len(asked) == 1 and asked[0].origin[[0, -1], 0].tolist() == origin[[50, 99], 0].tolist()
 
 
 # --- the command

@@ -81,7 +81,7 @@ def compare_hits(
         for rays, other in zip(captured, theirs, strict=True):
             steps.begin(f"comparing the hits of {rays.type.name}")
             mine = traced(tracer, rays)
-            verdicts = judge.compare(rays, other, mine), judge.compare(rays, mine, other)
+            verdicts = judge.compare_both(rays, other, mine)
             own_faults += verdicts[1].faults
             results.append(
                 {
