@@ -66,7 +66,7 @@ def compared_text(report: dict[str, Any]) -> str:
             f"{report['file']}: hits of {report['hits_of']}, beside those of {report['tracer']} on {report['scene']}",
             "",
             table(heads, rows),
-            "Where hits differ by more than float32 rounds, every triangle was asked in float64: for all that differ, or "
+            "Where hits differ by more than float32 rounds, every triangle was asked in float64: for all such rays, or "
             "for as many as there is time for, evenly among them.",
         ]
     )
