@@ -18,7 +18,8 @@ auto wish = [&](int q, int left, bool fair) -> int {
     int amount = size < (1 << 24) ? size : (1 << 24) - 1;
     if (q >= TREELETS && queues.selection == IN_TURN) amount = (1 << 24) - 1 - after;
     if (q >= TREELETS && queues.selection == AT_RANDOM)
-        amount = (int)(((unsigned)(q + 1) * 2654435761u ^ (unsigned)(own[PICKS] * LANES + number) * 2246822519u) >> 9) + 1;
+        amount =
+            (int)(((unsigned)(q + 1) * 2654435761u ^ (unsigned)(own[PICKS] * LANES + number) * 2246822519u) >> 9) + 1;
     return 1 << 29 | rank << 24 | amount;
 };
 auto choose = [&]() -> int {
