@@ -42,7 +42,7 @@ _SILENCED_BY: dict[str, tuple[tuple[str, Container], ...]] = {
     "queues_per_ray": (_NOT_BATCHED, _CACHED, _IN_TIERS, ("top_level_traversal", {"SHORT_SEGMENT"}), _STREAMING),
     "treelet_cache": (_NOT_BATCHED, _STREAMING),
     "treelet_prefetch": (_NOT_BATCHED, _STREAMING),
-    "top_level_traversal": (_NOT_BATCHED, _STREAMING),
+    "top_level_traversal": (_NOT_BATCHED, _CACHED, _STREAMING),
     "geometry_budget": (_NOT_BATCHED,),
     "geometry_store": (_NOT_BATCHED,),
     **{info.name: (_NOT_BATCHED,) for info in SETTINGS.values() if info.group in ("QUEUES", "TREELETS")},

@@ -53,7 +53,7 @@ class RayOrderPager:
         self._paged, self._residency, self._rays, self._counts = paged, residency, rays, counts
         self._timer = worker.timer
         self._any_first = worker.path_count if worker.shadow_kind == RayKind.OCCLUSION else NO_ANY_HIT
-        self._stage = stage or page_stage(paged.layout, counts is not None, settings)
+        self._stage = stage or page_stage(paged.layout, counts is not None, settings.replace(treelet_tier_bytes=0))
         self._window = window
         self._progress = allocate_progress(rays.origin.size, trail_words(paged.levels), True, self._device)
         self._view = residency.view()

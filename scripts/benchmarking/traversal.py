@@ -74,9 +74,12 @@ def chosen_tracers(
     counts: bool,
     budget: Budget,
     rivals: list[RivalRequest],
-    beyond: bool = False,
+    trees: SceneTrees | None = None,
 ) -> list[MeasuredTracer]:
-    """The tracers called `names`, or all that can be measured on `device`, and `rivals`; raises `UsageError`."""
+    """The tracers called `names`, or all that can be measured on `device`, and `rivals`, which visit `trees`; raises
+    `UsageError`.
+    """
+    trees = trees or SceneTrees(device, settings)
     for name in names:
         if name not in TRACERS + WAITING:
             raise UsageError(f"--tracers {name!r} is not known: choose of {', '.join(TRACERS + WAITING)}")
@@ -98,10 +101,9 @@ def chosen_tracers(
             )
     if not names:
         names = [name for name in TRACERS if name not in EMBREE or (embree_version() and not device.is_cuda)]
-        names = [name for name in names if not (beyond and name in ("reference", *EMBREE))]
-    if beyond:
-        check_beyond(names, rivals, budget)
-    trees = SceneTrees(device, settings, budget.bytes if beyond else 0)
+        names = [name for name in names if not (trees.beyond and name in ("reference", *EMBREE))]
+    if trees.beyond:
+        check_beyond(names, rivals)
     makers = {
         "off": lambda: StageTracer("off", trees, device, "OFF", counts=counts),
         "off-plain": lambda: StageTracer("off-plain", trees, device, "OFF", plain=True, counts=counts),
@@ -120,10 +122,8 @@ def chosen_tracers(
     return [makers[name]() for name in dict.fromkeys(names)] + make_rivals(rivals, trees, device, settings)
 
 
-def check_beyond(names: list[str], rivals: list[RivalRequest], budget: Budget) -> None:
-    """Raise `UsageError` where a tracer cannot be measured beyond memory, or there is no budget."""
-    if not budget.bytes:
-        raise UsageError("--beyond needs to know how much of the tree is there: give --budget BYTES")
+def check_beyond(names: list[str], rivals: list[RivalRequest]) -> None:
+    """Raise `UsageError` where a tracer cannot be measured beyond memory."""
     whole = {"reference", *EMBREE} & set(names) | {asked.name for asked in rivals if asked.name in WHOLE}
     if whole:
         raise UsageError(f"--beyond: {', '.join(sorted(whole))} has its tree in memory only: leave it out")
@@ -139,14 +139,18 @@ def measure_traversal(request: TraversalRequest) -> dict[str, Any]:
     device = find_device(request.device)
     if device.is_cuda and request.threads != [1]:
         raise UsageError("--threads is for the CPU: one thread drives a CUDA device")
+    if request.beyond and not request.budget:
+        raise UsageError("--beyond needs to know how much of the tree is there: give --budget BYTES")
+    settings = RenderSettings().replace(**request.settings)
+    scene_trees = SceneTrees(device, settings, request.budget if request.beyond else 0)
     tracers = chosen_tracers(
         request.tracers,
         device,
-        RenderSettings().replace(**request.settings),
+        settings,
         request.counters,
         Budget(request.budget, page_folder(), request.nodes_resident),
         request.rivals,
-        request.beyond,
+        scene_trees,
     )
     ray_count = request.ray_count or RAY_COUNT["cuda" if device.is_cuda else "cpu"]
     trace = read_trace(request.rays_file) if request.rays_file else None
@@ -194,6 +198,7 @@ def measure_traversal(request: TraversalRequest) -> dict[str, Any]:
                     steps.end()
     finally:
         steps.close()
+        scene_trees.close()
     own = next((trees[name] for name in trees if name.startswith("off")), None) or trees[tracers[0].name]
     return {
         "device": device_description(device),

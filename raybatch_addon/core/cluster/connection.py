@@ -182,7 +182,7 @@ class Connection:
                     self._client.run_on_scheduler(self._leave_out, address)
                 before = {each.address for each in self._workers if each.slots}
                 for address in sorted(before - found.keys() - self._dropped):
-                    self._report(f"worker {address} ended; its work is done elsewhere")
+                    self._report(f"worker {address} ended; what it was asked for is rendered elsewhere")
                 self._workers = [
                     Worker(address, str(each["host"]), int(each["resources"].get(RESOURCE, 0)))
                     for address, each in found.items()

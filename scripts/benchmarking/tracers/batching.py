@@ -46,10 +46,12 @@ class ZeroCopyTracer(StageTracer):
     def build(self, scene: BenchmarkScene) -> Tree:
         reported = super().build(scene)
         tree = self._built.tree
-        nodes, triangles = (
-            host_array(array.numpy(), array.dtype, self._device) for array in (tree.nodes, tree.triangles)
-        )
-        pinned = with_nodes(tree, tree.nodes if self._triangles_only else nodes, triangles)
+
+        def on_host(array: wp.array) -> wp.array:
+            return host_array(array.numpy(), array.dtype, self._device)
+
+        nodes = tree.nodes if self._triangles_only else on_host(tree.nodes)
+        pinned = with_nodes(tree, nodes, on_host(tree.triangles))
         self._built = dataclasses.replace(self._built, tree=pinned, keep=(self._built.keep, pinned))
         return reported
 

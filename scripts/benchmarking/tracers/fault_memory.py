@@ -13,6 +13,7 @@ import os
 import platform
 import select
 import struct
+import sys
 import threading
 from collections import deque
 
@@ -102,10 +103,14 @@ class FaultMemory:
                 told = os.read(self._descriptor, 64 * _MESSAGE)
             except BlockingIOError:  # a thread that was woken meanwhile
                 continue
-            for first in range(0, len(told), _MESSAGE):
-                if told[first] == _PAGE_FAULT:
-                    address = struct.unpack_from("=Q", told, first + _ADDRESS_AT)[0]
-                    self._bring((address - self._at) // PAGE)
+            try:
+                for first in range(0, len(told), _MESSAGE):
+                    if told[first] == _PAGE_FAULT:
+                        address = struct.unpack_from("=Q", told, first + _ADDRESS_AT)[0]
+                        self._bring((address - self._at) // PAGE)
+            except OSError as error:  # who waits for a page would wait for ever
+                print(f"--beyond: a page could not be brought in ({error})", file=sys.stderr, flush=True)
+                os._exit(1)
 
     def _bring(self, page: int) -> None:
         target = self._at + page * PAGE

@@ -83,6 +83,12 @@ class SceneTrees:
         tree = self._moved(built.tree) if self.beyond else built.tree
         return BuiltScene(tree, reported, (built, geometry, tree), built.tree.nodes)
 
+    def close(self) -> None:
+        """Give back what lies beyond memory; nobody traces any more."""
+        if self.faults:
+            self.faults.close()
+            self.faults = None
+
     def _moved(self, tree: Any) -> Any:
         if self._device.is_cuda:
             moved = [host_array(array.numpy(), array.dtype, self._device) for array in (tree.nodes, tree.triangles)]

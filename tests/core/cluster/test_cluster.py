@@ -129,7 +129,7 @@ def test_a_task_whose_worker_is_killed_counts_and_is_said(connection, expected, 
     cluster = film.statistics["cluster"]
     late = [each for each in cluster["events"] if each["kind"] == "TASK_LATE"]
     assert cluster["tasks_again"] >= 1 + len(late)
-    assert notes == [f"worker {killed[0]} ended; its work is done elsewhere"]
+    assert notes == [f"worker {killed[0]} ended; what it was asked for is rendered elsewhere"]
     wait_for(lambda: len(connection.workers()) == 2)
 
 

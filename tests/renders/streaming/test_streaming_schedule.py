@@ -141,9 +141,16 @@ def test_samples_beyond_the_window_wait_for_wide_digits(session, monkeypatch):
 @pytest.mark.parametrize(
     ("change", "features", "method", "words"),
     [
-        ({}, {}, Method.PAGED, "raise geometry_budget"),
+        ({}, {}, Method.PAGED, "render a smaller scene"),
+        ({"geometry_budget": 1 << 20}, {}, Method.PAGED, "raise geometry_budget"),
         ({"batching": "REFERENCE"}, {}, Method.REFERENCE, "set batching to"),
-        ({}, {"fetch_program": ProgramFeatures(("image",))}, Method.UNBATCHED, "set texture_budget to 0"),
+        ({}, {"fetch_program": ProgramFeatures(("image",))}, Method.UNBATCHED, "use smaller images"),
+        (
+            {"texture_budget": 1},
+            {"fetch_program": ProgramFeatures(("image",))},
+            Method.UNBATCHED,
+            "raise texture_budget",
+        ),
         ({}, {"catchers": True}, Method.UNBATCHED, "make them usual surfaces"),
         ({"counters": "ON"}, {}, Method.BATCHED, "set counters to OFF"),
         ({}, {"passes": ("Combined", "Rays")}, Method.UNBATCHED, "leave out passes"),
@@ -154,6 +161,9 @@ def test_what_it_cannot_render_takes_the_wavefront(change, features, method, wor
     features = dataclasses.replace(derive_features(feature_scenes.lit(), settings), **features)
     taken, warnings = with_schedule(settings, features, method)
     assert taken == settings.replace(schedule="WAVEFRONT") and len(warnings) == 1 and words in warnings[0]
+    tiers = settings.replace(treelet_tier_bytes=1 << 20)  # for which the tree was not cut
+    assert with_schedule(tiers, features, method)[0] == taken
+    assert "treelet_tier_bytes is not used with STREAMING" in with_schedule(tiers, features, method)[1][1]
 
 
 def test_what_it_can_render_it_renders_by_kernels_of_its_own():

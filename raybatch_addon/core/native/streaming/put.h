@@ -30,7 +30,7 @@ auto reserve = [&](int& to, int n) -> int {
 // Who takes what was in the entry before is about to read it
 auto place = [&](int to, int ticket, int token) {
     long long* const p = entry(to, ticket);
-    wait_for(p, (unsigned)ticket, to);
+    if (wait_for(p, (unsigned)ticket, to) == -1) return;
     publish_entry(p, entry_of((unsigned)ticket + 1u, token));
 };
 together();

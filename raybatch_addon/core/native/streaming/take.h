@@ -25,7 +25,8 @@ auto wish = [&](int q, int left, bool fair) -> int {
 auto choose = [&]() -> int {
     const int left = of_lane(queues.limit - look(counters + BEGUN), 0);
     const int alive = of_lane(look(counters + ALIVE), 0);
-    const bool over = look(counters + LEAVE) != 0 || look(counters + WORK) >= queues.budget;
+    const bool over =
+        look(counters + LEAVE) != 0 || look(counters + FAULT) != 0 || look(counters + WORK) >= queues.budget;
     if (of_lane(over || (left <= 0 && alive == 0), 0)) return LEAVE_NOW;
     const bool fair = own[PICKS] % FAIR_TURNS == FAIR_TURNS - 1;
     int best = 0, chosen = NOTHING;
@@ -84,9 +85,13 @@ if (queue == LEAVE_NOW) return LEAVE_NOW;
 for (int i = lane; i < count; i += LANES) {
     const int ticket = head + i;
     long long* const p = entry(queue, ticket);
-    tokens[i] = (int)wait_for(p, (unsigned)ticket + 1u, queue);
+    const long long found = wait_for(p, (unsigned)ticket + 1u, queue);
+    if (found == -1) break;
+    tokens[i] = (int)found;
     publish_entry(p, entry_of((unsigned)ticket + (unsigned)queues.mask.data[queue] + 1u, 0));
 }
+together();
+if (of_lane(look(counters + FAULT), 0) != 0) return LEAVE_NOW;
 if (lane == 0) {
     own[HELD] = count;
     own[FROM] = queue;

@@ -50,6 +50,7 @@ auto wait_for = [&](const long long* p, unsigned turn, int queue) -> long long {
     for (int tries = 0; tries < TRIES_MOST; ++tries) {
         const long long found = look_at_entry(p);
         if ((unsigned)(found >> 32) == turn) return found;
+        if (tries % 1024 == 1023 && look(counters + FAULT) != 0) return -1;  // that of another warp
         rest();
     }
     publish(counters + FAULT, 1 + queue);

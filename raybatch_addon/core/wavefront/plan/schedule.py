@@ -14,11 +14,13 @@ def why_not_streaming(settings: RenderSettings, features: SceneFeatures, method:
     `method`: how its rays meet the scene.
     """
     if method is Method.PAGED:
-        return "its geometry does not fit in memory, and the host brings pages of it; raise geometry_budget"
+        remedy = "raise geometry_budget" if settings.geometry_budget else "render a smaller scene"
+        return f"its geometry does not fit in memory, and the host brings pages of it; {remedy}"
     if method is Method.REFERENCE:
         return "batching is REFERENCE, and Warp's own tree is traced in lists; set batching to AUTO, ON or OFF"
     if features.fetch_program:
-        return "its images do not fit in memory, and the host brings tiles of them; set texture_budget to 0"
+        remedy = "raise texture_budget" if settings.texture_budget else "use smaller images"
+        return f"its images do not fit in memory, and the host brings tiles of them; {remedy}"
     if features.catchers:
         return "the scene has shadow catchers, whose paths begin again between turns; make them usual surfaces"
     if settings.is_on("counters") or not set(COST_PASSES).isdisjoint(features.passes):
@@ -35,8 +37,8 @@ def with_schedule(
     if settings.schedule != "STREAMING":
         return settings, []
     if why := why_not_streaming(settings, features, method):
-        # its tree was cut for the other
-        return settings.replace(schedule="WAVEFRONT", treelet_tier_bytes=0), [
-            f"schedule is WAVEFRONT, not STREAMING: {why}"
-        ]
+        warnings = [f"schedule is WAVEFRONT, not STREAMING: {why}"]
+        if settings.treelet_tier_bytes:  # the plan, and its tree, are made for STREAMING
+            warnings.append("treelet_tier_bytes is not used with STREAMING; set schedule to WAVEFRONT for it")
+        return settings.replace(schedule="WAVEFRONT", treelet_tier_bytes=0), warnings
     return settings.replace(kernel_tier="SPECIALISED"), []

@@ -35,8 +35,8 @@ from .trace import TracedTree
 
 # A launch is to take about this long, so that a render stops soon and shows how far it is [s]
 LAUNCH_SECONDS = 0.1
-# Tokens of a first launch, for each path slot; and how far the next may differ from the last
-_FIRST_WORK, _GROWTH = 2, 4.0
+# How far the tokens of a launch may differ from those of the last; how many there are at least and at most
+_GROWTH = 4.0
 _WORK_LEAST, _WORK_MOST = 1 << 12, 1 << 29
 # Tokens that a warp takes at a time: on a CPU enough that a traversal carries many rays all the time
 _CUDA_BATCH, _CPU_BATCH = 128, 1024
@@ -87,7 +87,9 @@ class StreamingIntegrator(TileIntegrator):
             self._work_most = max(count, _WORK_LEAST)
             aside = self._work_most + warps * queues.batch
             self._film_tiles.set_mattes_aside(self._lists.counts.at(Length.MATTES), aside)
-        self._work = min(max(_FIRST_WORK * count, _WORK_LEAST), self._work_most)  # tokens of the next launch
+        # tokens of a launch: at least four batches for each warp
+        self._work_least = min(max(4 * warps * queues.batch, _WORK_LEAST), self._work_most)
+        self._work = self._work_least  # of the next one
 
     def _warp_count(self, settings: RenderSettings) -> int:
         if not self.device.is_cuda:
@@ -167,7 +169,7 @@ class StreamingIntegrator(TileIntegrator):
         """How much the next launch takes, where the last took `done` tokens: one that ended early says little."""
         if done >= self._work or seconds > LAUNCH_SECONDS:
             wanted = min(LAUNCH_SECONDS / max(seconds, 1e-6) * done, _GROWTH * self._work)
-            self._work = int(min(max(wanted, self.path_count, _WORK_LEAST), self._work_most))
+            self._work = int(min(max(wanted, self._work_least), self._work_most))
 
     def _give_up(self, state: TileState) -> None:
         super()._give_up(state)

@@ -179,7 +179,7 @@ def fill_queues(queues: StreamQueues, path_count: int) -> None:
     queues.warps.zero_()
 
 
-def _source(header: str, tries_most: int = _TRIES_MOST) -> str:
+def _source(header: str) -> str:
     names = {each.name: int(each) for each in Queue}
     names |= {each.name: int(each) for each in Counter} | {each.name: int(each) for each in Word}
     return native_source(
@@ -188,7 +188,7 @@ def _source(header: str, tries_most: int = _TRIES_MOST) -> str:
         WARP_WORDS=len(Word),
         FAIR_TURNS=FAIR_TURNS,
         IDLE_MOST=_IDLE_MOST,
-        TRIES_MOST=tries_most,
+        TRIES_MOST=_TRIES_MOST,
         IN_TURN=IN_TURN,
         AT_RANDOM=AT_RANDOM,
         **names,

@@ -147,6 +147,22 @@ def test_no_items_are_begun_beyond_the_limit_and_a_launch_ends_with_its_budget(o
     check_queues(queues, wp.zeros(64, dtype=int, device=on), 0)
 
 
+@pytest.mark.skipif(DEVICE != "cpu", reason="a GPU waits for some seconds")
+@pytest.mark.parametrize("queue", [_GENERATE, _TRACE], ids=["to take", "to put"])
+def test_an_entry_that_never_comes_ends_the_launch_and_nothing_is_done_with_it(on, queue):
+    """The first ticket of GENERATE was never put, or that of TRACE never taken."""
+    queues = allocate_queues(8, 0, 1, 4, 4, on)
+    ring, first = queues.ring.numpy(), int(queues.first.numpy()[queue])
+    ring[first] = 7 << 32
+    queues.ring.assign(ring)
+    queues.limit, queues.budget = 8, 1 << 20
+    rounds, status, begun = (wp.zeros(each, dtype=int, device=on) for each in (8, 8, 8))
+    counted = launch(queues, 1, (rounds, status, begun), on)
+    assert counted[Counter.FAULT] == 1 + queue
+    assert queues.ring.numpy()[first] == 7 << 32  # neither taken nor written over
+    assert status.numpy().sum() == begun.numpy().sum() == (0 if queue == _GENERATE else 4)
+
+
 def test_checks_find_what_is_wrong(on):
     status = wp.zeros(8, dtype=int, device=on)
 

@@ -16,8 +16,7 @@ from raybatch_addon.core.wavefront.tracers.buckets.several.kernels import (
     gather_copies_kernel,
     leave_copies_kernel,
 )
-from raybatch_addon.core.wavefront.tracers.buckets.several.storage import copies_of
-from raybatch_addon.core.wavefront.tracers.buckets.tracer import batching_bytes_per_path, batching_kernels
+from raybatch_addon.core.wavefront.tracers.buckets.tracer import batching_bytes_per_path, batching_kernels, copies_of
 from tests.core.wavefront.tracers.test_batching_hits import LAYOUTS, compare
 from tests.core.wavefront.tracers.wandering import PARALLEL
 from tests.support.running.shares import each_of

@@ -33,17 +33,15 @@ from .assigned.prefetch import TreeletPrefetch, prefetch_kernel
 from .assigned.steps import AssignedSteps, next_step_kernel
 from .assigned.tiers import TierServer, bucket_large
 from .assigned.within import WithinLarge
-from .blocks import STEP, pool_bytes, pool_size
+from .blocks import PLACES_MAX, STEP, pool_bytes, pool_size
 from .device_loop import LOOP_KERNELS, DeviceLoop
 from .finished import SPLIT_KERNELS, FinishedLists
 from .policy import QueueNumbers, Selection, Step
 from .policy_device import AMOUNT, BUDGET, STEP_KIND, DevicePolicy, policy_kernels
 from .queues import BucketQueues, queue_kernels
 from .serve import QueueRules, QueueServer
-from .several.serve import SeveralServer
-from .several.storage import RayCopies, copies_of
 from .steps import FusedSteps, LaunchedSteps, LoopSteps, Steps, host_step_kernel
-from .storage import STORAGES, InPlace
+from .storage import STORAGES, InPlace, Storage
 
 # A call of `advance` ends when this share of the rays under way is done: then new ones can be begun, and buckets stay
 # full
@@ -102,7 +100,7 @@ def batching_kernels(
     else:
         kernels += policy_kernels(device)
         kernels += LOOP_KERNELS if device.is_cuda else [host_step_kernel]
-    kernels += (RayCopies if queues_per_ray(settings) > 1 else STORAGES[settings.ray_storage]).kernels
+    kernels += storage_of(settings).kernels
     return kernels + [kernel for stage in stages.values() for kernel in stage.kernels]
 
 
@@ -113,7 +111,7 @@ def batching_bytes_per_path(
     many, queues, places = 1 << 22, 512, queues_per_ray(settings)
     size = pool_size(queues, settings.queue_size, settings.queue_count, many)
     progress_bytes = 4 * trail_words(levels) + 4 * instancing
-    storage = RayCopies if places > 1 else STORAGES[settings.ray_storage]
+    storage = storage_of(settings)
     stored = storage.bytes_per_slot(progress_bytes, instancing, moving, size.entry_count / many)
     return math.ceil((1 + shadow_rays) * places * (stored + pool_bytes(size, queues, is_cuda) / many))
 
@@ -124,6 +122,20 @@ def queues_per_ray(settings: RenderSettings) -> int:
     """
     short = settings.top_level_traversal == "SHORT_SEGMENT"
     return 1 if short or settings.treelet_cache or has_tiers(settings) else settings.queues_per_ray
+
+
+def copies_of(wanted: int, slot_count: int) -> int:
+    """Copies of each of `slot_count` rays, `wanted` at most: their places are numbered by 31 bits."""
+    return max(1, min(wanted, PLACES_MAX // (2 * max(1, slot_count))))
+
+
+def storage_of(settings: RenderSettings) -> type[Storage]:
+    """What holds rays in queues. Renders whose rays wait in one queue at a time do not import what copies need."""
+    if queues_per_ray(settings) == 1:
+        return STORAGES[settings.ray_storage]
+    from .several.storage import RayCopies
+
+    return RayCopies
 
 
 def top_level_of(settings: RenderSettings) -> TopLevelTraversal:
@@ -179,11 +191,14 @@ class BatchingTracer:
         self._timer, self._numbers = worker.timer, QueueNumbers(treelet_tree.treelet_count + treelet_tree.large_count)
         self._selection = selection_of(settings)
         storage, server_type = STORAGES[settings.ray_storage], QueueServer
-        queue_total, self._copies = self._numbers.queue_total, copies_of(queues_per_ray(settings), worker.slot_count)
+        queue_total, wanted = self._numbers.queue_total, queues_per_ray(settings)
+        self._copies = copies_of(wanted, worker.slot_count) if wanted > 1 else 1
         slot_count = worker.slot_count * self._copies
         given: dict[str, Any] = {}
         if self._copies > 1:
-            storage, server_type = RayCopies, SeveralServer
+            from .several.serve import SeveralServer
+
+            storage, server_type = storage_of(settings), SeveralServer
             given = {"width": self._copies, "tree": treelet_tree.tree}
         elif has_tiers(settings):
             server_type = TierServer

@@ -60,6 +60,8 @@ class TreeletStage:
     next; new rays begin there. A `VisitStage`.
     """
 
+    writes_queues = False
+
     def __init__(self, visit: VisitStage, top: VisitStage):
         """`visit` does the task TREELET, `top` the task TOP."""
         self._visit, self._top = visit, top

@@ -13,7 +13,7 @@ from .....bvh.tree import Tree
 from .....device.launches import RepeatedLaunches
 from .....rays import NO_ANY_HIT, DeviceRayList, RayList, Rays
 from ....rays import RayNeeds, allocate_progress, allocate_rays
-from ..blocks import PLACES_MAX, QueueRule
+from ..blocks import QueueRule
 from ..queues import BucketQueues, batch_capacity
 from .kernels import (
     COPY_KERNELS,
@@ -28,11 +28,6 @@ from .kernels import (
     send_copies_kernel,
     spread_copies_kernel,
 )
-
-
-def copies_of(wanted: int, slot_count: int) -> int:
-    """Copies of each of `slot_count` rays, `wanted` at most: their places are numbered by 31 bits."""
-    return max(1, min(wanted, PLACES_MAX // (2 * max(1, slot_count))))
 
 
 class RayCopies:
@@ -91,9 +86,9 @@ class RayCopies:
 
     @staticmethod
     def bytes_per_slot(progress_bytes: int, instancing: bool, moving: bool, entry_share: float) -> float:
-        """Of each place: the ray, its progress, and what `Copies` has of it at most."""
+        """Of each place: the ray, its progress, and what `Copies` and lists of copies have of it at most."""
         needs = RayNeeds(limits=False, visibility=instancing, time=moving)
-        return progress_bytes + needs.bytes_per_path + 6 * 4
+        return progress_bytes + needs.bytes_per_path + 8 * 4
 
     def begin(self, batch: RayList, rule: QueueRule) -> None:
         """The first copies of new rays wait in queues."""
