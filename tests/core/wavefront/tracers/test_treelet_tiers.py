@@ -20,7 +20,7 @@ from raybatch_addon.core.wavefront.tracers.buckets.policy import Step
 from raybatch_addon.core.wavefront.tracers.buckets.tracer import queues_per_ray, visit_stages
 from tests.core.wavefront.tracers.test_batching_hits import LAYOUTS, PAIRS, compare, cut_case
 from tests.core.wavefront.tracers.wandering import PARALLEL
-from tests.support.running.shares import each_of
+from tests.support.running.shares import each_of, thorough_but
 
 LARGE = 12_000
 
@@ -36,7 +36,7 @@ def test_hits_are_those_of_the_unbatched_tracer(name, kind, layout, storage, sel
 
 
 @pytest.mark.parametrize("layout", each_of(1, LAYOUTS))
-@pytest.mark.parametrize("name", ["hairy", "living"])
+@pytest.mark.parametrize("name", thorough_but(["living"], ["hairy", "living"]))
 def test_segments_and_things_that_move(name, layout):
     compare(name, layout, RayKind.TRANSPARENT_SHADOW, PARALLEL[-1], treelet_tier_bytes=LARGE)
 
