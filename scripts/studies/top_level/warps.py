@@ -48,9 +48,7 @@ class CountedTop:
         options = VisitOptions(task=VisitTask.TOP, instancing=False, counters=True, top_level=top_level, lanes=LANES)
         self._stage = visit_stage(Layout.QUANTISED, options)
         self.kernels, self.writes_queues = self._stage.kernels, self._stage.writes_queues
-        self.counts = counts_of(ray_count, wp.get_device("cpu"))
-        for name in ("treelet_visits", "queued"):
-            setattr(self.counts, name, wp.zeros(ray_count, dtype=int, device="cpu"))
+        self.counts = counts_of(ray_count, wp.get_device("cpu"), waits=True)
         self.counts.lanes = wp.zeros(7, dtype=wp.int64, device="cpu")  # with the nodes that are read
 
     def prepare(self, device: wp.Device) -> None:

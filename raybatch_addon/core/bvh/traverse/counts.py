@@ -31,10 +31,10 @@ NO_COUNTS = TraceCounts()
 """For kernels without counters: no array has entries."""
 
 
-def counts_of(ray_count: int, device: wp.Device) -> TraceCounts:
-    """Counters, all 0, of a traversal of the whole tree by so many rays."""
+def counts_of(ray_count: int, device: wp.Device, waits: bool = False) -> TraceCounts:
+    """Counters, all 0, of a traversal by so many rays: of the whole tree, or where a ray `waits` at treelets."""
     counts = TraceCounts()
-    for name in ("node_steps", "box_tests", "triangle_tests"):
+    for name in ("node_steps", "box_tests", "triangle_tests", *(("treelet_visits", "queued") if waits else ())):
         setattr(counts, name, wp.zeros(ray_count, dtype=int, device=device))
     counts.lanes = wp.zeros(2 * len(LANE_PARTS), dtype=wp.int64, device=device)
     return counts

@@ -12,7 +12,7 @@ from typing import ClassVar, Protocol
 
 import warp as wp
 
-from ....bvh.traverse.counts import TraceCounts
+from ....bvh.traverse.counts import TraceCounts, counts_of
 from ....bvh.tree import DONE, NEW, TopProgress
 from ....device.kernel import KERNEL_OPTIONS
 from ....device.launches import RepeatedLaunches
@@ -282,9 +282,7 @@ class ByValue(_InOnePlace):
         self._batch.any_first, self._batch.capacity, self._batch.pool_index = any_first, capacity, self._pool_index
         self.counts = None
         if counts is not None:
-            self.counts = TraceCounts()
-            for name in ("node_steps", "box_tests", "triangle_tests", "treelet_visits", "queued"):
-                setattr(self.counts, name, wp.zeros(size, dtype=int, device=device))
+            self.counts = counts_of(size, device, waits=True)
             self.counts.lanes = counts.lanes
 
     @staticmethod

@@ -10,6 +10,7 @@ from benchmarking.tracers.rivals.breadth.flat import FlatTree
 from benchmarking.tracers.rivals.breadth.frusta import Items, Slabs, moved_ray
 from benchmarking.tracers.rivals.native_stage import FOLDER
 from raybatch_addon.core.bvh.intersect import EDGE_TINY
+from raybatch_addon.core.bvh.traverse.identify import name_of
 from raybatch_addon.core.bvh.tree import Tree as DeviceTree
 from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.native.build import native_source
@@ -34,23 +35,6 @@ def box_entered(low: wp.vec3, high: wp.vec3, s: Slabs, limit: float) -> bool:
         enter = wp.max(enter, near)
         leave = wp.min(leave, far)
     return enter <= leave
-
-
-@wp.func
-def identified(tree: DeviceTree, entry: int, face: int) -> wp.vec2i:
-    """Instance and primitive of triangle `face` of `entry`."""
-    instance = tree.entry_instance[entry]
-    if instance >= 0:
-        return wp.vec2i(instance, face)
-    low = tree.merged_first[entry]
-    high = tree.merged_first[entry + 1] - 1
-    while low < high:
-        middle = (low + high + 1) / 2
-        if tree.merged_triangle_first[middle] <= face:
-            low = middle
-        else:
-            high = middle - 1
-    return wp.vec2i(tree.merged_instance[low], face - tree.merged_triangle_first[low])
 
 
 @wp.struct
@@ -116,7 +100,7 @@ def leaves_kernel(any_hit: bool) -> wp.Kernel:
                                 if met[0] > 0.0 and met[0] < best.t:
                                     best.instance = 0
                             elif met[0] > 0.0 and met[0] <= best.t:
-                                who = identified(tree, entry, face)
+                                who = name_of(tree, entry, face)
                                 nearer = met[0] < best.t
                                 if met[0] == best.t and best.instance >= 0:
                                     nearer = who[0] < best.instance or (

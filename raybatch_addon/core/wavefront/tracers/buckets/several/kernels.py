@@ -11,6 +11,7 @@ from __future__ import annotations
 import warp as wp
 
 from .....bvh.traverse.counts import TraceCounts
+from .....bvh.traverse.identify import name_of
 from .....bvh.tree import DONE, TopProgress, Tree
 from .....device.kernel import KERNEL_OPTIONS
 from .....rays import DeviceRayList, Rays
@@ -33,23 +34,6 @@ class Copies:
     best: wp.array(dtype=float)
     last: wp.array(dtype=int)  # where in the batch the last of its copies is
     at: wp.array(dtype=int)  # treelet
-
-
-@wp.func
-def name_of(tree: Tree, entry: int, face: int) -> wp.vec2i:
-    """Instance and primitive of triangle `face` of an entry: `traverse/identify.h`."""
-    instance = tree.entry_instance[entry]
-    if instance >= 0:
-        return wp.vec2i(instance, face)
-    low = tree.merged_first[entry]
-    high = tree.merged_first[entry + 1] - 1
-    while low < high:
-        middle = (low + high + 1) / 2
-        if tree.merged_triangle_first[middle] <= face:
-            low = middle
-        else:
-            high = middle - 1
-    return wp.vec2i(tree.merged_instance[low], face - tree.merged_triangle_first[low])
 
 
 @wp.func

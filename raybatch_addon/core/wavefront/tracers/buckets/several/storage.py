@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
 import warp as wp
 
-from .....bvh.traverse.counts import TraceCounts
+from .....bvh.traverse.counts import TraceCounts, counts_of
 from .....bvh.tree import Tree
 from .....device.launches import RepeatedLaunches
 from .....rays import NO_ANY_HIT, DeviceRayList, RayList, Rays
 from ....rays import RayNeeds, allocate_progress, allocate_rays
 from ..blocks import QueueRule
-from ..queues import BucketQueues, batch_capacity
+from ..queues import BucketQueues
+from ..storage import InPlace
 from .kernels import (
     COPY_KERNELS,
     Copies,
@@ -30,10 +30,8 @@ from .kernels import (
 )
 
 
-class RayCopies:
-    """Every ray has `width` places (`kernels.py`), and queues hold numbers of places; a `Storage`. Rays of a batch are
-    traced where they are.
-    """
+class RayCopies(InPlace):
+    """Every ray has `width` places (`kernels.py`), and queues hold numbers of places, at which rays are traced."""
 
     kernels: ClassVar[tuple[wp.Kernel, ...]] = COPY_KERNELS
 
@@ -74,15 +72,8 @@ class RayCopies:
         self._batches = [DeviceRayList() for _ in range(width)]
         self.counts = None
         if counts is not None:
-            self.counts = TraceCounts()
-            for name in ("node_steps", "box_tests", "triangle_tests", "treelet_visits", "queued"):
-                setattr(self.counts, name, wp.zeros(places, dtype=int, device=device))
+            self.counts = counts_of(places, device, waits=True)
             self.counts.lanes = counts.lanes
-
-    @staticmethod
-    def batch_capacity(slot_count: int, queue_size: int, is_cuda: bool) -> int:
-        """Copies of a batch at most."""
-        return batch_capacity(slot_count, queue_size, is_cuda)
 
     @staticmethod
     def bytes_per_slot(progress_bytes: int, instancing: bool, moving: bool, entry_share: float) -> float:
@@ -99,20 +90,6 @@ class RayCopies:
             if self.counts is not None:
                 self._launch(reset_copy_counts_kernel, part.bound, self.counts, self.width, part.slots, part.count)
             self._queues.put(RayList(self._begun, part.count, part.bound, self._begun), rule)
-
-    def take(self, chosen: Sequence[int] | None, rule: QueueRule, bound: int) -> RayList:
-        """Take copies out of queues."""
-        self._taken = self._queues.take(chosen, rule, bound)
-        return self._taken
-
-    def take_marked(self, rule: QueueRule, bound: int) -> RayList:
-        """Take copies out of the marked queue."""
-        self._taken = self._queues.take_marked(rule, bound)
-        return self._taken
-
-    def put(self, rule: QueueRule) -> None:
-        """Put the copies that were taken last into queues."""
-        self._queues.put(self._taken, rule)
 
     def finished(self, batch: RayList) -> RayList:
         """See `Storage.finished`."""
