@@ -15,16 +15,13 @@ auto reserve = [&](int& to, int n) -> int {
     }
     if (to == SHADOW) to = queues.shadow_queue;
     if (to > TREELETS) {
-        int size;
-        do {
-            size = look(queues.size.data + to);
-            if (size + n > queues.mask.data[to] + 1) {
-                to = TREELETS;
-                break;
-            }
-        } while (swap_if(queues.size.data + to, size, size + n) != size);
+        int* const room = queues.room.data + to - TREELETS - 1;
+        if (add(room, -n) < n) {
+            add(room, n);
+            to = TREELETS;
+        }
     }
-    if (to <= TREELETS) add(queues.size.data + to, n);
+    add(queues.size.data + to, n);
     return add(queues.tail.data + to, n);
 };
 // Who takes what was in the entry before is about to read it

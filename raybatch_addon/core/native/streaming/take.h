@@ -2,11 +2,15 @@
 
 constexpr int LEAVE_NOW = -1, NOTHING = -2;
 const int queue_count = queues.size.shape[0];
+// The queue that the warp has just come to too late: it goes elsewhere first. The latest stages have few tokens, and all
+// warps look at the same sizes
+int in_vain = NOTHING;
 
 // How much a warp wants to serve queue `q` next: 0, not at all. A full batch comes before every partial one; of full
 // ones that of a later stage, of treelets that of the longest queue, or as `selection` has it; of partial ones the
 // longest. In a fair turn the next queue in turn that is not empty comes first.
 auto wish = [&](int q, int left, bool fair) -> int {
+    if (q == in_vain && !fair) return 0;
     int size = look(queues.size.data + q);
     if (q == GENERATE && size > left) size = left;
     if (size <= 0) return 0;
@@ -24,6 +28,7 @@ auto wish = [&](int q, int left, bool fair) -> int {
 };
 auto choose = [&]() -> int {
     const int left = of_lane(queues.limit - look(counters + BEGUN), 0);
+    if (left <= 0) fence();  // those that began the last ones are alive for who sees this
     const int alive = of_lane(look(counters + ALIVE), 0);
     const bool over =
         look(counters + LEAVE) != 0 || look(counters + FAULT) != 0 || look(counters + WORK) >= queues.budget;
@@ -53,14 +58,16 @@ auto choose = [&]() -> int {
     together();
     return chosen;
 };
-// Tokens that the warp may take, which is then the only one that may: their number; `head` is the first one's ticket
+// Tokens that the warp may take, which is then the only one that may: their number; `head` is the first one's ticket.
+// It takes a whole batch from `size` and gives back what was not there, so that warps at one queue do not wait for each
+// other; until then others see less than there is
 auto claim = [&](int q, int& head) -> int {
-    int n, size;
-    do {
-        size = look(queues.size.data + q);
-        n = size < queues.batch ? size : queues.batch;
-        if (n <= 0) return 0;
-    } while (swap_if(queues.size.data + q, size, size - n) != size);
+    if (look(queues.size.data + q) <= 0) return 0;
+    const int size = add(queues.size.data + q, -queues.batch);
+    const int n = size < 0 ? 0 : size < queues.batch ? size : queues.batch;
+    if (n < queues.batch) add(queues.size.data + q, queues.batch - n);
+    if (n == 0) return 0;
+    if (q > TREELETS) add(queues.room.data + q - TREELETS - 1, n);
     head = add(queues.head.data + q, n);
     return n;
 };
@@ -72,6 +79,7 @@ for (int idle = 0;;) {
     if (queue == NOTHING && ++idle > IDLE_MOST) queue = LEAVE_NOW;
     if (queue == LEAVE_NOW) break;
     if (queue == NOTHING) {
+        in_vain = NOTHING;
         rest();
         continue;
     }
@@ -79,6 +87,7 @@ for (int idle = 0;;) {
     count = of_lane(count, 0);
     head = of_lane(head, 0);
     if (count > 0) break;
+    in_vain = queue;
 }
 if (queue == LEAVE_NOW) return LEAVE_NOW;
 // Who puts with the same ticket was given it before, and is about to write the entry
@@ -100,6 +109,7 @@ if (lane == 0) {
     if (queue == GENERATE) {
         // alive before they are begun: no other warp sees that all are begun and none is alive
         add(counters + ALIVE, count);
+        fence();
         const int first = add(counters + BEGUN, count), left = queues.limit - first;
         own[ITEM] = first;
         own[BEGINS] = left < 0 ? 0 : left < count ? left : count;

@@ -6,7 +6,6 @@
 #if defined(__CUDA_ARCH__)
 constexpr int LANES = 32;
 auto add = [](int* p, int n) -> int { return atomicAdd(p, n); };
-auto swap_if = [](int* p, int before, int after) -> int { return atomicCAS(p, before, after); };
 auto publish = [](int* p, int value) { atomicExch(p, value); };
 auto look = [](const int* p) -> int { return *(const volatile int*)p; };
 auto publish_entry = [](long long* p, long long value) {
@@ -21,10 +20,6 @@ auto rest = []() { __nanosleep(200); };
 #else
 constexpr int LANES = 1;
 auto add = [](int* p, int n) -> int { return __atomic_fetch_add(p, n, __ATOMIC_SEQ_CST); };
-auto swap_if = [](int* p, int before, int after) -> int {
-    __atomic_compare_exchange_n(p, &before, after, false, __ATOMIC_SEQ_CST, __ATOMIC_SEQ_CST);
-    return before;
-};
 auto publish = [](int* p, int value) { __atomic_store_n(p, value, __ATOMIC_SEQ_CST); };
 auto look = [](const int* p) -> int { return __atomic_load_n(p, __ATOMIC_SEQ_CST); };
 auto publish_entry = [](long long* p, long long value) { __atomic_store_n(p, value, __ATOMIC_SEQ_CST); };

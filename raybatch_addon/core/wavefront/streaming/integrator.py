@@ -39,8 +39,7 @@ LAUNCH_SECONDS = 0.1
 _GROWTH = 4.0
 _WORK_LEAST, _WORK_MOST = 1 << 12, 1 << 29
 # Tokens that a warp takes at a time: on a CPU enough that a traversal carries many rays all the time
-_CUDA_BATCH, _CPU_BATCH = 128, 1024
-_CUDA_FULL, _CPU_FULL = 64, 512
+_CUDA_BATCH, _CPU_BATCH = 512, 1024
 # Warps of each multiprocessor, about as many as its registers are enough for
 _WARPS_A_PROCESSOR = 16
 
@@ -58,9 +57,11 @@ class StreamingIntegrator(TileIntegrator):
         device, count, batches = self.device, self.path_count, scene.treelets
         slot_count = self._rays.origin.size
         warps = self._warp_count(settings)
-        batch, full = (_CUDA_BATCH, _CUDA_FULL) if device.is_cuda else (_CPU_BATCH, _CPU_FULL)
+        # where paths are few, so few that all warps have some
+        most = min(_CUDA_BATCH if device.is_cuda else _CPU_BATCH, count // (2 * warps))
+        batch = min(max(most, warp_size(device)), count)
         treelets = batches.treelet_count if batches else 0
-        self._queues = queues = allocate_queues(count, treelets, warps, min(batch, count), min(full, count), device)
+        self._queues = queues = allocate_queues(count, treelets, warps, batch, -(-batch // 2), device)
         queues.selection = {"NEXT": IN_TURN, "RANDOM": AT_RANDOM}.get(settings.bucket_selection, 0)
         self._stream = stream = Stream()
         stream.traced = TracedTree()

@@ -82,7 +82,8 @@ class StreamQueues:
     ring: wp.array(dtype=wp.int64)
     first: wp.array(dtype=wp.int64)  # where the ring of each queue begins
     mask: wp.array(dtype=int)  # its places, a power of two from 2 on, less 1
-    size: wp.array(dtype=int)  # tokens that may be taken
+    size: wp.array(dtype=int)  # tokens that may be taken; less, while a warp gives back what it took too much
+    room: wp.array(dtype=int)  # free places of the ring of each treelet, likewise
     head: wp.array(dtype=int)  # tickets taken so far, as 32 bits that run over
     tail: wp.array(dtype=int)  # tickets given so far
     counters: wp.array(dtype=int)  # by `Counter`
@@ -141,6 +142,7 @@ def allocate_queues(
     queues.mask = wp.array(np.array(places) - 1, dtype=int, device=device)
     for name in ("size", "head", "tail"):
         setattr(queues, name, wp.zeros(len(places), dtype=int, device=device))
+    queues.room = wp.empty(treelet_count, dtype=int, device=device)
     queues.counters = wp.zeros(len(Counter), dtype=int, device=device)
     queues.warps = wp.zeros((warp_count, len(Word)), dtype=int, device=device)
     for name in ("tokens", "targets", "locations"):
@@ -173,6 +175,7 @@ def fill_queues(queues: StreamQueues, path_count: int) -> None:
         wp.launch(fill_kernel, rest.size, [rest, treelet_places(path_count, treelets) - 1, 0], device=device)
     for name in ("size", "head", "tail"):
         getattr(queues, name).zero_()
+    queues.room.fill_(treelet_places(path_count, treelets))
     for array in (queues.size, queues.tail):
         array[Queue.GENERATE : Queue.GENERATE + 1].fill_(path_count)
     queues.counters.zero_()

@@ -31,6 +31,7 @@ class Shared:
     begun: int = 0
     alive: int = 0
     size: list[int] = field(default_factory=list)
+    room: list[int] = field(default_factory=list)  # of the rings of treelets
     head: list[int] = field(default_factory=list)
     tail: list[int] = field(default_factory=list)
     ring: list[list[tuple[int, int]]] = field(default_factory=list)  # entries: whose turn it is, and a token
@@ -46,6 +47,7 @@ class Shared:
         counts = [places if q < len(Queue) else self.treelet_places for q in range(queues)]
         self.ring = [[(turn, 0) for turn in range(count)] for count in counts]
         self.size, self.head, self.tail = ([0] * queues for _ in range(3))
+        self.room = [self.treelet_places] * self.treelet_count
         for token in range(self.path_count):
             self.ring[Queue.GENERATE][token] = token + 1, token
         self.size[Queue.GENERATE] = self.tail[Queue.GENERATE] = self.path_count
@@ -69,9 +71,10 @@ class Shared:
 
 def warp(number: int, shared: Shared, numbers: random.Random) -> Steps:
     """All that a warp does in a launch."""
-    picks, last = 0, 0
+    picks, last, in_vain = 0, 0, -1
     while True:
-        chosen = yield from _choose(shared, picks, last)
+        chosen = yield from _choose(shared, picks, last, in_vain)
+        in_vain = -1
         if chosen is None:
             return None
         if chosen < 0:
@@ -81,6 +84,7 @@ def warp(number: int, shared: Shared, numbers: random.Random) -> Steps:
         picks += 1
         tokens = yield from _take(number, shared, chosen)
         if not tokens:
+            in_vain = chosen
             continue
         shared.chosen.append(chosen)
         targets = [Queue.GENERATE] * len(tokens)
@@ -92,8 +96,8 @@ def warp(number: int, shared: Shared, numbers: random.Random) -> Steps:
         yield from _put(shared, chosen, tokens, targets)
 
 
-def _choose(shared: Shared, picks: int, last: int) -> Steps:
-    """A queue; -1: there is nothing to do now; None: the launch is over."""
+def _choose(shared: Shared, picks: int, last: int, in_vain: int) -> Steps:
+    """A queue, but `in_vain` only in a fair turn; -1: there is nothing to do now; None: the launch is over."""
     yield
     left = shared.limit - shared.begun
     yield
@@ -101,6 +105,8 @@ def _choose(shared: Shared, picks: int, last: int) -> Steps:
         return None
     fair, best, chosen, count = picks % FAIR_TURNS == FAIR_TURNS - 1, 0, -1, len(shared.size)
     for q in range(count):
+        if q == in_vain and not fair:
+            continue
         yield
         size = min(shared.size[q], left) if q == Queue.GENERATE else shared.size[q]
         if size <= 0:
@@ -115,16 +121,23 @@ def _choose(shared: Shared, picks: int, last: int) -> Steps:
 
 
 def _take(number: int, shared: Shared, queue: int) -> Generator[None, None, list[int]]:
-    while True:
+    yield
+    if shared.size[queue] <= 0:
+        return []
+    yield
+    seen = shared.size[queue]
+    if shared.fault == "look and take apart":
         yield
-        seen = shared.size[queue]
-        n = min(seen, shared.batch)
-        if n <= 0:
-            return []
+    shared.size[queue] -= shared.batch
+    n = min(max(seen, 0), shared.batch)
+    if n < shared.batch and shared.fault != "too much is not given back":
         yield
-        if shared.size[queue] == seen or shared.fault == "size without compare":
-            shared.size[queue] = seen - n
-            break
+        shared.size[queue] += shared.batch - n
+    if n == 0:
+        return []
+    if queue > Queue.TREELETS:
+        yield
+        shared.room[queue - len(Queue)] += n
     yield
     head = shared.head[queue]
     shared.head[queue] += n
@@ -178,19 +191,17 @@ def _put(shared: Shared, queue: int, tokens: list[int], targets: list[int]) -> S
 
 def _place_all(shared: Shared, to: int, group: list[int]) -> Steps:
     n = len(group)
-    while to > Queue.TREELETS:
+    if to > Queue.TREELETS:
         yield
-        seen = shared.size[to]
-        if seen + n > len(shared.ring[to]) and shared.fault != "room is not looked at":
+        place = to - len(Queue)
+        seen = shared.room[place]
+        shared.room[place] -= n
+        if seen < n and shared.fault != "room is not looked at":
+            yield
+            shared.room[place] += n
             to = Queue.TREELETS
-            break
-        yield
-        if shared.size[to] == seen:
-            shared.size[to] += n
-            break
-    if to <= Queue.TREELETS:
-        yield
-        shared.size[to] += n
+    yield
+    shared.size[to] += n
     yield
     ticket = shared.tail[to]
     shared.tail[to] += n

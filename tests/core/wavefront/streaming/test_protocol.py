@@ -45,6 +45,7 @@ def check(shared: Shared) -> None:
     assert shared.alive == 0 and set(shared.holder) == {None}
     assert [shared.tail[q] - shared.head[q] for q in range(len(shared.size))] == shared.size
     assert shared.size[Queue.GENERATE] == shared.path_count == sum(shared.size)
+    assert shared.room == [shared.treelet_places] * shared.treelet_count
     for ring, head, tail in zip(shared.ring, shared.head, shared.tail, strict=True):
         turns = [ring[ticket % len(ring)][0] for ticket in range(head, head + len(ring))]
         assert turns == [ticket + (ticket < tail) for ticket in range(head, head + len(ring))]
@@ -59,7 +60,15 @@ def test_any_order_of_accesses_ends_with_every_token_in_its_place(examples):
 
 
 @pytest.mark.parametrize(
-    "fault", ["size without compare", "read before it is published", "room is not looked at", "overwrites", "any turn"]
+    "fault",
+    [
+        "look and take apart",
+        "too much is not given back",
+        "read before it is published",
+        "room is not looked at",
+        "overwrites",
+        "any turn",
+    ],
 )
 def test_a_fault_of_the_protocol_is_found(fault):
     def fails(seed: int) -> bool:

@@ -183,6 +183,7 @@ def test_checks_find_what_is_wrong(on):
         queues.ring.assign(ring)
 
     assert "tickets" in broken(lambda queues: queues.size[_TRACE : _TRACE + 1].fill_(1))
+    assert "has room for 15 tokens, not 8" in broken(lambda queues: queues.room.fill_(15))
     assert "not published, or not read" in broken(lose_one)
     assert "not in exactly one queue" in broken(twice)
 
