@@ -1,5 +1,5 @@
-"""Write the tables of docs/experiments/rivals.md from docs/experiments/data/rivals-*.json and, with --beyond,
-beyond-*.json, reports of `scripts/benchmark.py traversal --rival`: python scripts/tables/rivals_table.py [--check]
+"""Write the tables of docs/experiments/rivals.md from docs/experiments/data/rivals-*-cpu.json, rivals-*-cuda.json and,
+with --beyond, beyond-*.json, reports of `scripts/benchmark.py traversal --rival`: python scripts/tables/rivals_table.py [--check]
 """
 
 from __future__ import annotations
@@ -73,15 +73,16 @@ def all_table(found: Ratios, order: str) -> str:
 
 
 def beyond_table(reports: dict[str, dict[str, Any]], order: str) -> str:
-    """Rates over that of the control beyond memory, and what was brought in for a ray [KB]."""
+    """Rates over that of the control beyond memory, and where it was counted what was brought in for a ray [KB]."""
     found: dict[str, dict[tuple[str, str, str], str]] = {}
     for report in reports.values():
         for (rays, of, _), by_name in cases(report).items():
             control = by_name[CONTROL]["mrays_per_s"]
             for name, result in by_name.items():
-                brought = result["bytes_copied"] / result["ray_count"] / 1e3
-                ratio = _text(result["mrays_per_s"] / control)
-                found.setdefault(name, {})[title(report), rays, of] = f"{ratio} ({brought:.2g})"
+                text = _text(result["mrays_per_s"] / control)
+                if result["bytes_copied"] is not None:
+                    text += f" ({result['bytes_copied'] / result['ray_count'] / 1e3:.2g})"
+                found.setdefault(name, {})[title(report), rays, of] = text
     columns = _columns(found, order)
     rows = [[OWN.get(name, name), *(by_case.get(case, "") for case in columns)] for name, by_case in found.items()]
     return table(["", *_heads(columns)], rows)
@@ -96,14 +97,15 @@ def _text(ratio: float | None) -> str:
 
 def updated(text: str) -> str:
     """The page with its tables made of the data."""
-    found = ratios(load("rivals-*.json"))
-    for name, made in (
-        ("natural", best_table(found, "natural")),
-        ("shuffled", best_table(found, "shuffled")),
-        ("all", all_table(found, "natural")),
-        ("beyond", beyond_table(load("beyond-*.json"), "natural")),
-    ):
-        text = with_part(text, f"<!-- {name} -->", f"<!-- end of {name} -->", made, PAGE)
+    for kind, suffix in (("cpu", ""), ("cuda", ", GPU")):
+        found = ratios(load(f"rivals-*-{kind}.json"))
+        for name, made in (
+            ("natural", best_table(found, "natural")),
+            ("shuffled", best_table(found, "shuffled")),
+            ("all", all_table(found, "natural")),
+            ("beyond", beyond_table(load(f"beyond-*-{kind}.json"), "natural")),
+        ):
+            text = with_part(text, f"<!-- {name}{suffix} -->", f"<!-- end of {name}{suffix} -->", made, PAGE)
     return text
 
 

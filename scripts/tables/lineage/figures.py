@@ -26,9 +26,15 @@ def by_kind(value_of: Callable[[str], Iterable[float]]) -> str:
     return ", ".join(f"{name} {text}" for name, text in found.items() if text != "–") or "–"
 
 
-def rival_in_memory(name: str) -> str:
+def on_both(text_of: Callable[[str], str]) -> str:
+    """What a CPU's data say and, where there are such, a GPU's: `cpu` and `cuda`."""
+    cpu, gpu = text_of("cpu"), text_of("cuda")
+    return cpu if gpu == "–" else f"GPU: {gpu}" if cpu == "–" else f"CPU: {cpu}; GPU: {gpu}"
+
+
+def rival_in_memory(name: str, device: str) -> str:
     """Rates over those of `off`, of the best parameters, rays in their natural order."""
-    found = ratios(load("rivals-*.json"))
+    found = ratios(load(f"rivals-*-{device}.json"))
     tried = [by_case for each, by_case in found.items() if kind_of(each) == name]
     there = {case for by_case in tried for case in by_case if case[2] == "natural"}
 
@@ -38,12 +44,12 @@ def rival_in_memory(name: str) -> str:
     return by_kind(best)
 
 
-def rival_beyond(name: str) -> str:
+def rival_beyond(name: str, device: str) -> str:
     """Rates over those of `off` beyond memory."""
 
     def values(kind: str) -> list[float]:
         found = []
-        for report in load("beyond-*.json").values():
+        for report in load(f"beyond-*-{device}.json").values():
             for (rays, _, _), by_name in cases(report).items():
                 mine = [result["mrays_per_s"] for each, result in by_name.items() if kind_of(each) == name]
                 if rays == kind and mine:
@@ -73,23 +79,26 @@ def hardware_beyond(policy: str) -> str:
     return f"bytes from memory {hardware(policy, 'small', 'memory_bytes')}"
 
 
-def schedule_in_memory(name: str) -> str:
+def schedule_in_memory(name: str, device: str) -> str:
     """Rates over those of unbatched rays."""
-    return by_kind(lambda kind: _schedule_rates(name, "memory", kind))
+    return by_kind(lambda kind: _schedule_rates(name, device, "memory", kind))
 
 
-def schedule_beyond(name: str) -> str:
-    """Rates over those of rays that bring in their pages in their own order."""
-    return by_kind(lambda kind: _schedule_rates(name, "beyond", kind))
+def schedule_beyond(name: str, device: str) -> str:
+    """Rates over those of rays that bring in their pages in their own order, on a GPU of all that is read from the
+    host's memory.
+    """
+    return by_kind(lambda kind: _schedule_rates(name, device, "beyond", kind))
 
 
-def _schedule_rates(name: str, place: str, kind: str) -> list[float]:
+def _schedule_rates(name: str, device: str, place: str, kind: str) -> list[float]:
     seconds: dict[tuple[str, str], list[float]] = {}
-    for row in _rows("schedulers-cpu.json"):
+    for row in _rows(f"schedulers-{device}.json"):
         if row["place"] == place and row["kind"] == kind and row["schedule"] in (name, "unbatched"):
             seconds.setdefault((row["scene"], row["schedule"]), []).append(row["seconds"])
     scenes = {scene for scene, schedule in seconds if schedule == name}
-    return [median(seconds[scene, "unbatched"]) / median(seconds[scene, name]) for scene in scenes]
+    measured = [scene for scene in scenes if (scene, "unbatched") in seconds]
+    return [median(seconds[scene, "unbatched"]) / median(seconds[scene, name]) for scene in measured]
 
 
 def top_level_nodes(way: str) -> str:
