@@ -1,5 +1,6 @@
 """Write the tables of docs/experiments/rivals.md from docs/experiments/data/rivals-*-cpu.json, rivals-*-cuda.json and,
-with --beyond, beyond-*.json, reports of `scripts/benchmark.py traversal --rival`: python scripts/tables/rivals_table.py [--check]
+with --beyond, beyond-*.json, reports of `scripts/benchmark.py traversal --rival`:
+python scripts/tables/rivals_table.py [--check]
 """
 
 from __future__ import annotations

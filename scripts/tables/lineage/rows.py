@@ -197,7 +197,8 @@ THESIS = (
         setting="`schedule=STREAMING`",
         in_memory=lambda: "[what it costs](../streaming.md#what-it-costs)",
         beyond=_none,
-        verdict="the same bits without deadlocks; on a GPU it batches in half to three quarters of the wavefront's time, and takes 1.3 to 2 times as long where rays do not wait",
+        verdict="the same bits without deadlocks; on a GPU it batches in half to three quarters of the wavefront's "
+        "time, and takes 1.3 to 2 times as long where rays do not wait",
     ),
 )
 RIVALS = (

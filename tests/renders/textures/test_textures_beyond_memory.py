@@ -10,6 +10,7 @@ from raybatch_addon.core.errors import OutOfMemoryError
 from raybatch_addon.core.programs.requests import prepared_scene
 from raybatch_addon.core.scene.description import Image
 from raybatch_addon.core.session import Session
+from raybatch_addon.core.session_device import Place
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.shading.images.image_upload import device_bytes_of
 from raybatch_addon.core.shading.images.textures import Extension, Interpolation
@@ -85,6 +86,11 @@ def test_the_least_pool_is_named_and_is_enough(session, whole):
     assert same(film, whole) and tiles["slots"] < tiles["tiles"] / 10 and tiles["evicted"] > tiles["slots"]
     with pytest.raises(OutOfMemoryError, match=r"texture_budget is .* raise it, or lower texture_tile_size"):
         session.render(room(), TILED.replace(texture_budget=least - 1))
+
+
+def test_a_budget_that_is_too_small_is_refused_before_anything_waits_for_kernels(session, monkeypatch):
+    monkeypatch.setattr(Place, "make_workers", lambda *_: pytest.fail("kernels were waited for"))
+    assert enough(session, room(), TILED.replace(texture_budget=20_000)) > 20_000
 
 
 @pytest.mark.parametrize("extension", list(Extension))

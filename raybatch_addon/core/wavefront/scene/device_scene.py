@@ -39,6 +39,7 @@ from ..order.hit_order import HitKey, sorts_materials
 from ..passes.state import PassInputs, upload_pass_inputs
 from ..plan.plan import Choice, TracingPlan
 from ..plan.tracing import Tracing
+from ..textures.pool import tile_slots_of
 from ..volumes.upload import UploadedVolumes, upload_volumes
 from .geometry_request import GeometryRequest
 from .paged_tree import PagedTree
@@ -102,6 +103,9 @@ class DeviceScene:
         budget = None if request.settings.texture_budget else cache.image_budget(device)
         images = cache.images.upload(scene.images, device, budget)
         fetches, fetching = None, [each.program and each.program.fetches for each in scene.materials]
+        if images.tiled and request.settings.texture_budget:
+            # whether one worker's slots are enough is known now, and not only when all is compiled
+            tile_slots_of(images.tiled, request.settings.texture_budget, images.bytes, 1, tiles_at_once(fetching))
         if features.surfaces:
             on_stage("tree")
             kept = cache.get(scene, request, device)
