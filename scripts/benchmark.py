@@ -55,6 +55,11 @@ OFF). A budget is in bytes, or a share of what tree and triangles take in memory
 render relative to the one in memory in the same turn, trees apart. --set and --preset hold for all of them. All films
 are compared bit for bit; where one differs the report says so, and the exit code is 1. Stages are timed in renders of
 their own, with counters (--no-counters leaves them out).
+
+--against devices: --device names several, such as ALL; the same with the first of them alone, with two, four, and so
+on. Renders take turns, and speedup is that over one device in the same turn: of rendering, and of whole renders with
+trees. Waiting is the share of all devices' time in which they had nothing to do while others rendered. All films are
+compared bit for bit. A device renders alone what is too small to be shared; the report has who took part.
 """
 RECORDING = """\
 Measure what it costs to record a render of SCENE, a .blend (needs bpy), a .scene.npz or the geometry of an .npz (do
@@ -154,8 +159,8 @@ def argument_parser() -> argparse.ArgumentParser:
     render = whole_renders("render", RENDER, samples=RENDER_SAMPLES, runs=3)
     render.add_argument(
         "--against",
-        choices=("cycles", "memory"),
-        help="measure that engine, or all geometry in memory, beside RayBatch",
+        choices=("cycles", "memory", "devices"),
+        help="measure that engine, all geometry in memory, or fewer devices, beside RayBatch",
     )
     render.add_argument(
         "--budgets",
@@ -190,7 +195,7 @@ def measured(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
     if options.command in traces.NAMES:
         return traces.measured(options)
     from benchmarking.scenes import SceneRequest
-    from benchmarking.tables import memory_text, recording_text, render_text, slopes_text, viewport_text
+    from benchmarking.tables import devices_text, memory_text, recording_text, render_text, slopes_text, viewport_text
 
     counts: tuple[Any, int] = (getattr(options, "samples", None), 0)
     if options.command == "render":
@@ -240,7 +245,8 @@ def measured(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
         samples_given=options.samples is not None,
     )
     report = measure_render(request)
-    text = slopes_text if "sample_counts" in report else memory_text if "memory" in report else render_text
+    texts = {"sample_counts": slopes_text, "memory": memory_text, "several": devices_text}
+    text = next((each for key, each in texts.items() if key in report), render_text)
     return report, text(report)
 
 

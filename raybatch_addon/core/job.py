@@ -35,6 +35,7 @@ from .wavefront.render.rounds import RoundPolicy
 from .wavefront.render.steps import TileSteps
 from .wavefront.render.summary import (
     batching_totals,
+    device_shares,
     ray_totals,
     rounds_summary,
     tile_totals,
@@ -134,6 +135,7 @@ class Job:
         self.warnings += tiles.warnings() if tiles else []
         return render_statistics(
             devices=devices,
+            shares=device_shares(devices, integrators),
             settings=self.settings,
             features=self.features,
             frame={"width": film.width, "height": film.height, "region": [*film.region], "passes": [*film.pass_names]},

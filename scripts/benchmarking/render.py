@@ -1,5 +1,5 @@
-"""Whole renders, beside Cycles when asked: at equal samples, and at equal error. What is in memory alone is compared in
-`memory.py`.
+"""Whole renders, beside Cycles when asked: at equal samples, and at equal error. RayBatch is compared with itself in
+`against/`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ from lib.command import UsageError
 from rendering.pictures import picture_path, write_picture
 from rendering.request import BLEND, kind_of
 
-from benchmarking.memory import measure_against_memory, parse_budgets
+from benchmarking.against.devices import measure_against_devices
+from benchmarking.against.memory import measure_against_memory, parse_budgets
 from benchmarking.progress import Steps
 from benchmarking.slopes import SEEDS, combined, has_ray_tracing_cores, measure_slopes, quotient, relmse_of_pairs
 from benchmarking.timing import summary
@@ -51,6 +52,11 @@ def measure_render(request: RenderRequest) -> dict[str, Any]:
     budgets = parse_budgets(request.budgets) if request.budgets else []
     picture = picture_path(request.picture.absolute()) if request.picture else None
     opened = open_scene(request)
+    if request.against == "devices":
+        report, film = measure_against_devices(opened, measured_settings(opened.settings, request), request)
+        if picture:
+            write_picture(picture, film, opened.scene)
+        return report
     device = find_device(request.device)
     request = with_counts(request, device)
     settings = measured_settings(opened.settings, request)
@@ -119,6 +125,8 @@ def _check_combination(request: RenderRequest) -> None:
                 "two --samples tell the time of a sample, of RayBatch alone or --against cycles, at equal error too: "
                 "leave --equal-error and --against memory out"
             )
+        if request.against == "devices":
+            raise UsageError("--against devices takes one count of --samples")
     if request.equal_error and request.against != "cycles":
         raise UsageError("--equal-error compares two engines: give --against cycles too")
     if request.against == "cycles" and kind_of(request.scene.path) != BLEND:

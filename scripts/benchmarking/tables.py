@@ -234,15 +234,45 @@ def memory_text(report: dict[str, Any]) -> str:
             stages = ", ".join(f"{stage} {seconds:.3f} s" for stage, seconds in each["stages"].items() if seconds)
             lines.append(f"stages of {name}, with counters: {stages}")
         lines += [f"{name}: {warning}" for warning in each["warnings"]]
+    return "\n".join([*lines, *_films_lines(report)])
+
+
+def devices_text(report: dict[str, Any]) -> str:
+    """The report of `benchmark.py render --against devices`."""
+    frame = report["frame"]
+    lines = [
+        f"{report['scene']}, {report['triangles']:,} triangles, on {report['device']['name']}",
+        f"{frame['width']} x {frame['height']} pixels, {report['samples_per_pixel']} samples a pixel, "
+        f"{report['bounces']} bounces, {report['rays']['total']:,} rays",
+        "",
+    ]
+    rows = [
+        [
+            ", ".join(each["devices"]),
+            _time(each["build"]).strip(),
+            _time(each["render"]).strip(),
+            *(f"{each[name]:.3f}" for name in ("speedup", "speedup_whole")),
+            f"{100 * each['waiting']:.1f} %",
+        ]
+        for each in report["several"]
+    ]
+    heads = ["devices", "trees", "render", "speedup", "with trees", "waiting"]
+    lines += [table(heads, rows), "medians, ± half the spread; speedup: over one device in the same turn", ""]
+    for each in report["several"]:
+        lines += [f"{', '.join(each['devices'])}: {warning}" for warning in each["warnings"]]
+    return "\n".join([*lines, *_films_lines(report)])
+
+
+def _films_lines(report: dict[str, Any]) -> list[str]:
     films = report["films"]
-    lines.append(
+    lines = [
         f"{films['compared']} films are equal bit for bit"
         if films["equal"]
         else "FILMS DIFFER: " + "; ".join(films["differences"])
-    )
+    ]
     if report["invalid_samples"]:
         lines.append(f"{report['invalid_samples']:,} samples were not finite")
-    return "\n".join(lines)
+    return lines
 
 
 def _times(part: dict[str, Any]) -> list[str]:

@@ -32,7 +32,7 @@ class RenderRequest:
     threads: int = 0  # 0: every core
     runs: int = 3
     size: tuple[int, int] | None = None
-    against: str | None = None  # "cycles" or "memory"
+    against: str | None = None  # "cycles", "memory" or "devices"
     budgets: str | None = None  # with "memory": as `parse_budgets` takes them
     counters: bool = True  # with "memory": show the time of stages, from renders of their own
     equal_error: bool = False

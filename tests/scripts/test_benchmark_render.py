@@ -8,7 +8,8 @@ from types import SimpleNamespace
 import benchmark
 import numpy as np
 import pytest
-from benchmarking import memory, recording
+from benchmarking import recording
+from benchmarking.against import films, memory
 from benchmarking.render import equal_error, measured_settings, with_counts
 from benchmarking.scenes import SceneRequest
 from benchmarking.slopes import Timed, relmse_of_pairs
@@ -171,9 +172,7 @@ def test_a_budget_is_reported_in_words_and_without_counters(geometry, tmp_path, 
 
 def test_films_that_differ_are_an_error_and_the_report_is_kept(geometry, tmp_path, capfd, monkeypatch):
     taken = []
-    monkeypatch.setattr(
-        memory, "differing_pixels", lambda a, b: 3 * (len(taken) == 1) if taken.append(1) is None else 0
-    )
+    monkeypatch.setattr(films, "differing_pixels", lambda a, b: 3 * (len(taken) == 1) if taken.append(1) is None else 0)
     target = tmp_path / "r.json"
     options = [
         "render",
@@ -199,10 +198,10 @@ def test_films_that_differ_are_an_error_and_the_report_is_kept(geometry, tmp_pat
 def test_pixels_differ_by_their_bits():
     a = np.zeros((2, 3, 4), np.float32)
     b = a.copy()
-    assert memory.differing_pixels(a, b) == 0
+    assert films.differing_pixels(a, b) == 0
     b[0, 0] = -0.0
     b[1, 2, 3] = np.nextafter(np.float32(0), np.float32(1))
-    assert memory.differing_pixels(a, b) == 2
+    assert films.differing_pixels(a, b) == 2
 
 
 def test_budgets_are_bytes_or_shares():
@@ -264,6 +263,8 @@ def test_a_preset_is_what_settings_start_from(geometry, capfd):
         (["{bowl}", "--preset", "fast"], "no preset is called 'fast'"),
         (["{bowl}", "--against", "cycles"], "--against cycles needs a .blend, not bowl.npz"),
         (["{bowl}", "--against", "memory"], "give --budgets, such as 10%"),
+        (["{bowl}", "--against", "devices"], "--device .* names .* alone: name more, such as cuda:0,cuda:1"),
+        (["{bowl}", "--against", "devices", "--samples", "1,2"], "takes one count of --samples"),
         (["{bowl}", "--budgets", "10%"], "--budgets belongs .* give --against memory too"),
         (["{bowl}", "--no-counters"], "--no-counters belongs .* give --against memory too"),
         (["{bowl}", "--against", "memory", "--budgets", "10%", "--equal-error"], "give --against cycles too"),

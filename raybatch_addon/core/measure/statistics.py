@@ -37,6 +37,7 @@ def versions() -> dict[str, str]:
 def render_statistics(
     *,
     devices: Sequence[wp.Device],
+    shares: Sequence[dict[str, Any]],
     settings: RenderSettings,
     features: SceneFeatures,
     frame: dict[str, Any],
@@ -45,12 +46,14 @@ def render_statistics(
     samples: int,
     counts: dict[str, Any],
 ) -> dict[str, Any]:
-    """The report of one render; `counts` holds what else was counted (see the schema)."""
+    """The report of one render; `shares` says what each of `devices` did, and `counts` holds what else was counted (see
+    the schema).
+    """
     return {
         "engine": ENGINE,
         "versions": versions(),
         "device": device_description(devices[0]),
-        "devices": [device_description(each) for each in devices],
+        "devices": [device_description(each) | share for each, share in zip(devices, shares, strict=True)],
         "settings": dataclasses.asdict(settings),
         "frame": frame,
         "seconds": seconds,

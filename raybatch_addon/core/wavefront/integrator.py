@@ -108,6 +108,7 @@ class TileIntegrator:
         if self.textures:
             self.textures.begin()
         self.items_done = 0  # paths that came to their end, for progress
+        self.seconds_working = 0.0  # on tiles, in this render
         self.tail_seconds = 0.0  # of the last `render`: from its last full waves to the picture
         self.patience = math.inf  # of a stopped tile whose rays are under way [s]; 0: they are given up in mid-turn
 

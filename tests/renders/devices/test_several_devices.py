@@ -112,9 +112,13 @@ def test_the_film_is_that_of_one_device(session, several, way):
 
 
 def test_the_statistics_list_the_devices(several):
-    found = several.render(fine(), settings_of("progressive")).statistics
+    settings = settings_of("progressive")
+    found = several.render(fine(), settings).statistics
     assert [each["alias"] for each in found["devices"]] == [each.alias for each in several.devices]
-    assert found["devices"][0] == found["device"]
+    shares = {each["alias"]: each for each in found["devices"]}  # the CPU stands for several
+    assert sum(each["paths"] for each in shares.values()) == settings.sample_count * FRAME.pixel_count
+    assert all(0 < each["seconds_working"] <= found["seconds"]["render"] for each in shares.values())
+    assert found["device"].items() < found["devices"][0].items()
 
 
 def test_few_paths_are_not_shared(session, several, monkeypatch):

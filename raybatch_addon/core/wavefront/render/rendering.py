@@ -259,6 +259,7 @@ class Rendering:
             finished.append(integrator.render(state, samples.first, samples.sample_count, stop, most))
             tail_seconds += integrator.tail_seconds
         joined = time.perf_counter()
+        integrator.seconds_working += joined - start
         if done := integrator.items_done - before:
             integrator.seconds_a_path = (joined - start) / done
         tile = finished[0] if len(finished) == 1 else FinishedTile.sum_of(*finished)

@@ -6,6 +6,8 @@ import functools
 from collections.abc import Sequence
 from typing import Any
 
+import warp as wp
+
 from ...bvh.node import Layout
 from ...bvh.traverse.reference import BuiltReference
 from ...convergence.halves import HalfError
@@ -75,6 +77,18 @@ def complaints(policy: RoundPolicy, film: Film, samples: int) -> list[str]:
         f"error_target was met by a black picture: no path of {samples} samples found any light, so that nothing is "
         "known of its error; if it should not be black, set error_target to 0 and render all samples"
     ]
+
+
+def device_shares(devices: Sequence[wp.Device], integrators: Sequence[TileIntegrator]) -> list[dict[str, Any]]:
+    """What each of `devices` did: paths that came to their end, and seconds in which its workers, in the mean, were at
+    a tile.
+    """
+    shares = []
+    for device in devices:
+        its = [each for each in integrators if each.device == device]
+        seconds = sum(each.seconds_working for each in its) / max(len(its), 1)
+        shares.append({"paths": sum(each.items_done for each in its), "seconds_working": round(seconds, 6)})
+    return shares
 
 
 def batching_totals(integrators: Sequence[TileIntegrator]) -> BatchingTotals | None:

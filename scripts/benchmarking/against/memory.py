@@ -8,9 +8,9 @@ import statistics
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
 from lib.command import UsageError
 
+from benchmarking.against.films import FilmsCompared
 from benchmarking.progress import Steps
 from benchmarking.timing import summary
 from benchmarking.whole_render import OpenedScene, RenderRequest, scene_report, timed_render
@@ -100,42 +100,6 @@ class _Variant:
         }
 
 
-class _FilmsCompared:
-    """Looks at every film; the first is what the others should be."""
-
-    def __init__(self) -> None:
-        self._first: dict[str, np.ndarray] = {}
-        self._count = 0
-        self._differences: list[str] = []
-
-    def take(self, name: str, film: Film) -> None:
-        """The film of a render called `name`. Only its passes are kept, and only the first's."""
-        self._count += 1
-        passes = film.passes
-        if not self._first:
-            self._first = passes
-        if not film.complete:
-            self._differences.append(f"{name}: samples are missing")
-        for which, expected in self._first.items():
-            differing = differing_pixels(passes[which], expected)
-            if differing:
-                self._differences.append(f"{name}: {differing:,} of {expected[..., 0].size:,} pixels of {which} differ")
-
-    def report(self) -> dict[str, Any]:
-        """What was found."""
-        return {
-            "compared": self._count,
-            "equal": not self._differences,
-            "differences": list(dict.fromkeys(self._differences)),
-        }
-
-
-def differing_pixels(a: np.ndarray, b: np.ndarray) -> int:
-    """Pixels of which any bit differs; `a` and `b` are float32, shape [height, width, channels]."""
-    a, b = (np.ascontiguousarray(each, np.float32).view(np.uint32) for each in (a, b))
-    return int((a != b).any(-1).sum())
-
-
 def check_settings(changes: dict[str, Any], settings: RenderSettings) -> None:
     """Raise `UsageError` where `changes`, those of the command line, or the `settings` that came of them leave nothing
     to compare.
@@ -170,7 +134,7 @@ def measure_against_memory(
     frame = opened.scene.frame
     frame = dataclasses.replace(frame, passes=tuple(name for name in frame.passes if name not in COST_PASSES))
     scene = dataclasses.replace(opened.scene, frame=frame)
-    films = _FilmsCompared()
+    films = FilmsCompared()
     plain = settings.replace(geometry_budget=0, counters="OFF")
     count = 1 + len(budgets)
     steps = Steps(count * (1 + request.counters) + request.runs)
@@ -210,7 +174,7 @@ def _begun(
     name: str,
     settings: RenderSettings,
     *,
-    films: _FilmsCompared,
+    films: FilmsCompared,
     counters: bool,
     steps: Steps,
     geometry_bytes: int = 0,

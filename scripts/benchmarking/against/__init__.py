@@ -1,0 +1,1 @@
+"""Whole renders compared with others of the same scene: another budget, fewer devices."""
