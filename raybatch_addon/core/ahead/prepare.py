@@ -82,9 +82,12 @@ class Preparation:
         modules, built = begin_aside(self._load), begin_aside(functools.partial(self._build, made_by))
         self.build = end_of(built)
         try:
-            if not all(is_awaited(each, cancelled, show) for each in (built, modules)):
+            if not is_awaited(built, cancelled, show):
                 return None, []
-            made, names = built.result(), modules.result()
+            made = built.result()  # what it refuses is not waited for until all is compiled
+            if not is_awaited(modules, cancelled, show):
+                return None, []
+            names = modules.result()
             write_notes()  # also of kernels that the build was the first to launch
             self.build = None
             if found is None:

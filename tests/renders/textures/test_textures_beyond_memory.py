@@ -2,15 +2,16 @@
 
 import dataclasses
 import re
+import threading
 
 import numpy as np
 import pytest
 
+from raybatch_addon.core.ahead import prepare
 from raybatch_addon.core.errors import OutOfMemoryError
 from raybatch_addon.core.programs.requests import prepared_scene
 from raybatch_addon.core.scene.description import Image
 from raybatch_addon.core.session import Session
-from raybatch_addon.core.session_device import Place
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.shading.images.image_upload import device_bytes_of
 from raybatch_addon.core.shading.images.textures import Extension, Interpolation
@@ -88,9 +89,16 @@ def test_the_least_pool_is_named_and_is_enough(session, whole):
         session.render(room(), TILED.replace(texture_budget=least - 1))
 
 
-def test_a_budget_that_is_too_small_is_refused_before_anything_waits_for_kernels(session, monkeypatch):
-    monkeypatch.setattr(Place, "make_workers", lambda *_: pytest.fail("kernels were waited for"))
-    assert enough(session, room(), TILED.replace(texture_budget=20_000)) > 20_000
+def test_a_budget_that_is_too_small_is_refused_while_kernels_are_compiled(device, monkeypatch):
+    """The message has what all workers need."""
+    goes_on, session = threading.Event(), Session(device)
+    monkeypatch.setattr(prepare, "load_kernels", lambda *_: goes_on.wait(60) and [])
+    try:
+        least = [enough(session, room(), TILED.replace(texture_budget=20_000, thread_count=n)) for n in (1, 3)]
+        assert not goes_on.is_set() and (least[0] < least[1] if device == "cpu" else least[0] == least[1])
+    finally:
+        goes_on.set()
+        session.close()
 
 
 @pytest.mark.parametrize("extension", list(Extension))

@@ -13,6 +13,7 @@ from ...bvh.build.scene_tree import BuiltTree
 from ...bvh.traverse.reference import ReferenceTree
 from ...bvh.tree import Tree
 from ...bvh.treelets.tree import TreeletTree
+from ...device.devices import worker_count
 from ...native.structs import Upload, arrays_in
 from ...programs.inputs_data import upload_camera_inputs, with_camera
 from ...programs.op import NodeData
@@ -39,7 +40,7 @@ from ..order.hit_order import HitKey, sorts_materials
 from ..passes.state import PassInputs, upload_pass_inputs
 from ..plan.plan import Choice, TracingPlan
 from ..plan.tracing import Tracing
-from ..textures.pool import tile_slots_of
+from ..textures.pool import refuse_few_slots
 from ..volumes.upload import UploadedVolumes, upload_volumes
 from .geometry_request import GeometryRequest
 from .paged_tree import PagedTree
@@ -103,9 +104,6 @@ class DeviceScene:
         budget = None if request.settings.texture_budget else cache.image_budget(device)
         images = cache.images.upload(scene.images, device, budget)
         fetches, fetching = None, [each.program and each.program.fetches for each in scene.materials]
-        if images.tiled and request.settings.texture_budget:
-            # whether one worker's slots are enough is known now, and not only when all is compiled
-            tile_slots_of(images.tiled, request.settings.texture_budget, images.bytes, 1, tiles_at_once(fetching))
         if features.surfaces:
             on_stage("tree")
             kept = cache.get(scene, request, device)
@@ -132,6 +130,11 @@ class DeviceScene:
             if needs := features.fetch_program:
                 fetching += [each and fetch_part(each, needs.register_count) for each in passing]
                 fetches = uploaded(fetching, needs, upload=keep("fetches"))
+                if images.tiled:
+                    workers = worker_count(device, request.settings.thread_count)
+                    workers = min(workers, request.settings.ray_count or workers)
+                    given = request.settings.texture_budget or budget or 0
+                    refuse_few_slots(images.tiled, given, images.bytes, workers, tiles_at_once(fetching))
         data.world_nodes = upload_programs(
             [scene.world.program],
             features.world_program,

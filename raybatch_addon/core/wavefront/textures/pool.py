@@ -75,16 +75,28 @@ def tile_slots_of(source: TileSource, budget: int, whole: int, workers: int, lea
     tiles; at most one for each tile. Raises `BudgetError` where they are fewer than `least`, which one path may
     need at once.
     """
-    least = min(least, source.tile_count)
     slots = min(max(budget - whole, 0) // workers // source.slot_bytes, source.tile_count)
-    if slots < least:
-        raise BudgetError(
-            f"texture_budget is {budget:,} bytes, and this scene needs {whole + least * workers * source.slot_bytes:,} "
-            f"at least: {whole:,} for images that are not in tiles, and for each of {workers} workers {least} tiles of "
-            f"{source.slot_bytes:,}, which one path may read at once; raise it, or lower texture_tile_size or "
-            "thread_count, or set it to 0"
-        )
+    if slots < min(least, source.tile_count):
+        raise _few_slots(source, budget, whole, workers, least)
     return slots
+
+
+def refuse_few_slots(source: TileSource, budget: int, whole: int, workers: int, least: int) -> None:
+    """Raise the `BudgetError` of `tile_slots_of`, with what `workers` need, where there are too few for one of them: so
+    much is known before it is known how many there will be.
+    """
+    if max(budget - whole, 0) // source.slot_bytes < min(least, source.tile_count):
+        raise _few_slots(source, budget, whole, workers, least)
+
+
+def _few_slots(source: TileSource, budget: int, whole: int, workers: int, least: int) -> BudgetError:
+    least = min(least, source.tile_count)
+    each, fewer = (f"for each of {workers} workers ", " or thread_count") if workers > 1 else ("", "")
+    return BudgetError(
+        f"texture_budget is {budget:,} bytes, and this scene needs {whole + least * workers * source.slot_bytes:,} "
+        f"at least: {whole:,} for images that are not in tiles, and {each}{least} tiles of {source.slot_bytes:,}, which "
+        f"one path may read at once; raise it, or lower texture_tile_size{fewer}, or set it to 0"
+    )
 
 
 class TilePool:
