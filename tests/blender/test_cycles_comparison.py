@@ -28,6 +28,7 @@ def assert_alike(ours, theirs, request):
         f"{request.node.name}: means {found.ours} and {found.theirs} (ratio {found.ratios}), relMSE {found.rel_mse:.3g}"
     )
     print(figures)
+    assert found.noise < MEAN_TOLERANCE / 3, figures
     assert found.mean_error < MEAN_TOLERANCE, figures
     assert found.rel_mse < REL_MSE, figures
 
@@ -50,18 +51,18 @@ def cornell_box(scene):
 # --- tests
 
 
-def test_a_cornell_box(stage, tmp_path, request):
+def test_a_cornell_box(stage, tmp_path, request, examples):
     cornell_box(stage)
     box("Tall", (-0.35, 0.3, -0.4), (0.6, 0.6, 1.2), 0.3, (0.73, 0.73, 0.73))
     box("Short", (0.35, -0.3, -0.7), (0.6, 0.6, 0.6), -0.3, (0.73, 0.73, 0.73))
-    assert_alike(*both_reopened(tmp_path, 128), request)
+    assert_alike(*both_reopened(tmp_path, examples(128)), request)
 
 
-def test_few_bounces_are_the_same_bounces(stage, tmp_path, request):
+def test_few_bounces_are_the_same_bounces(stage, tmp_path, request, examples):
     """A limit that has an effect: what counts as a bounce, and where the last one ends."""
     cornell_box(stage)
     stage.cycles.max_bounces = stage.raybatch.bounce_max = 1
-    assert_alike(*both_reopened(tmp_path, 64), request)
+    assert_alike(*both_reopened(tmp_path, examples(64)), request)
 
 
 def test_a_cornell_box_of_plastic_metal_and_glass(stage, tmp_path, request):
@@ -108,7 +109,7 @@ def test_materials_side_by_side(stage, tmp_path, request):
         assert (np.abs(ratio - 1) < MEAN_TOLERANCE + 2 * noise).all(), (kind, inputs, ratio, noise)
 
 
-def test_lights_of_all_kinds_together(stage, tmp_path, request):
+def test_lights_of_all_kinds_together(stage, tmp_path, request, examples):
     floor()
     box("Box", (0, 0, 0.5), (1, 1, 1), 0.4, (0.7, 0.7, 0.7))
     lamp("POINT", (-1.5, -1, 1.5), energy=60.0, shadow_soft_size=0.2, color=(1, 0.5, 0.3))
@@ -116,18 +117,18 @@ def test_lights_of_all_kinds_together(stage, tmp_path, request):
     lamp("SUN", (0, 0, 5), target=(1.5, 3, 0), energy=0.5, angle=0.2, color=(0.4, 0.6, 1))
     lamp("AREA", (-0.5, 1.5, 2), target=(0, 0, 0), energy=40.0, shape="DISK", size=0.8)
     look(stage, (0, -6, 4), (0, 0, 0.3))
-    assert_alike(*both_reopened(tmp_path, 128), request)
+    assert_alike(*both_reopened(tmp_path, examples(128)), request)
 
 
-def test_a_smooth_sphere_of_few_faces_under_the_world_alone(stage, tmp_path, request):
+def test_a_smooth_sphere_of_few_faces_under_the_world_alone(stage, tmp_path, request, examples):
     add_world(stage, 1.0, (0.3, 0.6, 1.0))
     floor()
     diffuse(ball("Ball", (0, 0, 1), 1.0, segments=12, rings=6), (0.8, 0.5, 0.2))
     look(stage, (0, -5, 2), (0, 0, 0.8))
-    assert_alike(*both_reopened(tmp_path, 128), request)
+    assert_alike(*both_reopened(tmp_path, examples(128)), request)
 
 
-def test_instances_of_a_collection(stage, tmp_path, request):
+def test_instances_of_a_collection(stage, tmp_path, request, examples):
     add_world(stage, 0.5)
     floor()
     lamp("SUN", (0, 0, 5), target=(1, 2, 0), energy=2.0, angle=0.3)
@@ -141,10 +142,10 @@ def test_instances_of_a_collection(stage, tmp_path, request):
         obj.instance_type, obj.instance_collection = "COLLECTION", parts
         obj.location, obj.rotation_euler, obj.scale = (x, y, 0), (0, 0, 0.7 * i), (1, 1 + 0.2 * i, 0.8 + 0.3 * i)
     look(stage, (0, -6, 3), (0, 0, 0.5))
-    assert_alike(*both_reopened(tmp_path, 128), request)
+    assert_alike(*both_reopened(tmp_path, examples(128)), request)
 
 
-def test_depth_of_field(stage, tmp_path, request):
+def test_depth_of_field(stage, tmp_path, request, examples):
     add_world(stage, 0.3)
     floor()
     for i, y in enumerate((-2.5, 0, 3)):
@@ -156,4 +157,4 @@ def test_depth_of_field(stage, tmp_path, request):
     look(stage, (0, -6, 1.5), (0, 0, 0.5))
     dof = stage.camera.data.dof
     dof.use_dof, dof.focus_distance, dof.aperture_fstop, dof.aperture_blades = True, 6.1, 0.1, 5
-    assert_alike(*both_reopened(tmp_path, 128), request)
+    assert_alike(*both_reopened(tmp_path, examples(128)), request)

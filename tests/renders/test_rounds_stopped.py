@@ -29,18 +29,21 @@ pytestmark = pytest.mark.usefixtures("general_kernels_of_module")
 
 @pytest.mark.parametrize("estimate", each_of(2, ["ON", "OFF"]))
 @pytest.mark.parametrize("name", schedule_scenes.SCENES)
-def test_any_schedule_with_any_rounds_and_stops_gives_the_same_film(session, name, estimate, examples):
+def test_any_schedule_with_any_rounds_and_stops_gives_the_same_film(session, name, estimate, examples, pytestconfig):
     watched = WatchedSession(session)
     estimator = RenderSettings(
         sample_count=5, bounce_max=4, roulette_bounce=2, clamp_indirect=3.0, error_estimate=estimate
     )
-    comparer = FilmComparer(watched, schedule_scenes.SCENES[name](), estimator, 16)
+    comparer = FilmComparer(
+        watched, schedule_scenes.SCENES[name](), estimator, 16 if pytestconfig.option.thorough else 8
+    )
+    fixed = {"schedule": "WAVEFRONT", **schedule_scenes.not_drawn(name, pytestconfig.option.thorough)}
 
     @settings(max_examples=examples(15), deadline=None, derandomize=True, database=None, phases=[Phase.generate])
     @given(number=st.integers(0, 2**32 - 1))
     def compare(number):
         watched.random = np.random.default_rng(number)
-        found = comparer.compare_drawn(SeededDraws(number), {"schedule": "WAVEFRONT"})
+        found = comparer.compare_drawn(SeededDraws(number), fixed)
         # rays are those of the last part alone; that none is lost was looked at for each
         differs = [fault for fault in found.differs if "taken in" not in fault]
         assert not differs, (number, differs, found.settings)

@@ -32,8 +32,9 @@ def session(device, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def comparers(session):
-    return {name: FilmComparer(session, make(), ESTIMATOR, TURNS) for name, make in schedule_scenes.SCENES.items()}
+def comparers(session, pytestconfig):
+    turns = TURNS if pytestconfig.option.thorough else TURNS // 2  # of few rays alive: of the rest of the frame
+    return {name: FilmComparer(session, make(), ESTIMATOR, turns) for name, make in schedule_scenes.SCENES.items()}
 
 
 @pytest.mark.parametrize("name", schedule_scenes.SCENES)
@@ -44,45 +45,11 @@ def test_the_plain_film_shows_something(comparers, name):
     assert comparers[name].plain.statistics["rays"]["shadow"] > 100
 
 
-# What a plain run does not draw, since other kernels would be compiled for it, which take most of its time: those of
-# both tiers it leaves to `test_tiers.py`, those of the other schedule to `streaming`, and others of tracers to other
-# scenes
-FIXED = {
-    "open": {"schedule": "WAVEFRONT", "kernel_tier": "AUTO", "counters": "OFF", "single_lane": "ON", "warp_count": 1},
-    "closed": {
-        "schedule": "WAVEFRONT",
-        "kernel_tier": "AUTO",
-        "counters": "ON",
-        "single_lane": "OFF",
-        "treelet_tier_bytes": 0,
-    },
-    "mixed": {
-        "schedule": "WAVEFRONT",
-        "kernel_tier": "AUTO",
-        "counters": "ON",
-        "single_lane": "OFF",
-        "treelet_tier_bytes": 0,
-    },
-    "living": {
-        "schedule": "WAVEFRONT",
-        "kernel_tier": "AUTO",
-        "counters": "OFF",
-        "single_lane": "OFF",
-        "treelet_tier_bytes": 0,
-    },
-}
-
-
-@pytest.fixture
-def fixed(pytestconfig) -> dict[str, dict]:
-    """By scene: what is not drawn."""
-    return {name: {} if pytestconfig.option.thorough or DEVICE != "cpu" else FIXED[name] for name in FIXED}
-
-
 @pytest.mark.parametrize("name", schedule_scenes.SCENES)
-def test_any_schedule_gives_the_same_film(comparers, name, examples, fixed):
+def test_any_schedule_gives_the_same_film(comparers, name, examples, pytestconfig):
     """Also: every ray that was taken in is finished once, and no sample is invalid."""
     comparer, methods, count = comparers[name], collections.Counter(), examples(EXAMPLES)
+    fixed = schedule_scenes.not_drawn(name, pytestconfig.option.thorough)
     wanted = ["unbatched", "batched"]
     # on CUDA the smallest scene is smaller than a page and what stays beside it: no budget makes it wait
     if schedule_scenes.least_budget(DEVICE, name) < comparer.sizes.tree_bytes:
@@ -95,12 +62,12 @@ def test_any_schedule_gives_the_same_film(comparers, name, examples, fixed):
     numbers = random.Random(name)  # of schedules that have nothing in common
     while not is_enough() and methods.total() < 2 * count:  # a method that chance left out is drawn in the end
         number = numbers.getrandbits(32)
-        found = comparer.compare_drawn(SeededDraws(number), fixed[name])
+        found = comparer.compare_drawn(SeededDraws(number), fixed)
         methods[found.method] += 1
         if found.differs:
             pytest.fail(
                 f"schedule {number}: {found.differs}, region {found.region}, {comparer.simplest(found)} of "
-                f"{found.settings}; not drawn: {fixed[name]}"
+                f"{found.settings}; not drawn: {fixed}"
             )
     assert is_enough(), methods
 
@@ -114,7 +81,8 @@ def test_the_settings_that_make_a_film_wrong_are_found(comparers, monkeypatch):
         return faults(film) + ["wrong"] * (drawn["ray_storage"] == "DIRECT" and drawn["queue_size"] == 7)
 
     monkeypatch.setattr(comparer, "faults", faulty)
-    found = comparer.compare({**drawn_schedule(SeededDraws(8), comparer.sizes), **FIXED["open"], **wrong})
+    drawn = {**drawn_schedule(SeededDraws(9), comparer.sizes), **schedule_scenes.FIXED["open"], **wrong}
+    found = comparer.compare(drawn)
     assert found.differs == ["wrong"] and comparer.simplest(found) == {"ray_storage": "DIRECT", "queue_size": 7}
 
 
@@ -168,7 +136,11 @@ def test_with_few_rays_alive_a_part_is_rendered(change):
     )
 
 
-# --- the script
+# --- the script, which draws what other kernels are not compiled for
+
+NOT_DRAWN_OF_CLOSED = [
+    word for name, value in schedule_scenes.FIXED["closed"].items() for word in ("--set", f"{name}={value}")
+]
 
 
 @pytest.fixture(scope="module")
@@ -201,10 +173,7 @@ def test_the_script_finds_nothing_where_all_is_well(saved, device, capfd):
         1,
         "--seed",
         5,
-        "--set",
-        "kernel_tier=AUTO",
-        "--set",
-        "schedule=WAVEFRONT",
+        *NOT_DRAWN_OF_CLOSED,
     )
     assert code == 0 and report["faults"] == 0 and report["compared"] == 8 and report["seed"] == 5
     assert [scene["frame"] for scene in report["scenes"]] == [[12, 9]] * 2
@@ -241,8 +210,7 @@ def test_the_script_reports_what_differs(saved, device, capfd, monkeypatch):
         "batching=ON",
         "--set",
         "geometry_budget=0",
-        "--set",
-        "schedule=WAVEFRONT",
+        *NOT_DRAWN_OF_CLOSED,
     )
     code, report, reported = run(capfd, *options)
     assert code == 1 and report["faults"] == 3 and report["scenes"][0]["faults"][0]["simplest"] == {"batching": "ON"}

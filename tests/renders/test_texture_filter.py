@@ -17,6 +17,7 @@ from raybatch_addon.core.wavefront.rays import bytes_per_path, needed_arrays
 from tests.support import scenes
 from tests.support.running.shares import each_of
 
+pytestmark = pytest.mark.usefixtures("general_kernels_of_module")  # of what is not filtered
 OFF = RenderSettings(sample_count=4, bounce_max=3, seed=5)
 FILTERED = OFF.replace(texture_filter="FOOTPRINT", texture_filter_width=1.0)
 SQUARES = np.where((np.arange(64)[:, None] // 32 + np.arange(64) // 32) % 2, 235, 20).astype(np.uint8)[..., None]

@@ -2,6 +2,7 @@
 
 import functools
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from checking.films import FilmComparer
@@ -13,6 +14,7 @@ from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support import scenes
 from tests.support.paged_scenes import strands, swaying, turning
+from tests.support.under_test import DEVICE
 
 ESTIMATOR = RenderSettings(sample_count=3, bounce_max=5, roulette_bounce=2, clamp_indirect=3.0)
 # Every pass of the general tier but those that show cost, and of mattes those of two levels. Ambient Occlusion has
@@ -96,6 +98,17 @@ def living_scene() -> Scene:
 
 SCENES = {"open": open_scene, "closed": closed_scene, "mixed": mixed_scene, "living": living_scene}
 
+# What plain runs on a CPU do not draw, since other kernels would be compiled for it, which take most of their time:
+# those of both tiers they leave to `test_tiers.py`, those of the other schedule to `streaming`, and others of tracers
+# to other scenes
+_TRACED = {"schedule": "WAVEFRONT", "kernel_tier": "AUTO", "single_lane": "OFF", "treelet_tier_bytes": 0}
+FIXED = {
+    "open": {"schedule": "WAVEFRONT", "kernel_tier": "AUTO", "counters": "OFF", "single_lane": "ON", "warp_count": 1},
+    "closed": {**_TRACED, "counters": "ON"},
+    "mixed": {**_TRACED, "counters": "ON"},
+    "living": {**_TRACED, "counters": "OFF"},
+}
+
 
 @functools.cache
 def least_budget(device: str, name: str = "mixed") -> int:
@@ -107,3 +120,8 @@ def least_budget(device: str, name: str = "mixed") -> int:
     session.close()
     assert found.raised == 1 and not found.differs
     return found.settings["geometry_budget"]
+
+
+def not_drawn(name: str, thorough: bool) -> dict[str, Any]:
+    """Settings of the scene `name` that are as they are in this run; none where it is `thorough` or on a GPU."""
+    return {} if thorough or DEVICE != "cpu" else FIXED[name]

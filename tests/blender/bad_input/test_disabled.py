@@ -1,5 +1,7 @@
 """The add-on is disabled, and enabled again, while it renders."""
 
+import json
+
 import pytest
 
 pytest.importorskip("bpy")
@@ -251,17 +253,66 @@ def assert_well(code, *arguments):
     return done
 
 
+# Each leaves RayBatch disabled and nothing of it behind, so that they follow each other in one process
+PLACES = ("render_init", "render_pre", "scene", "progress")
+SCENARIOS = {
+    **{f"from another thread, {stage}": (FROM_ANOTHER_THREAD, stage) for stage in ("render", "build")},
+    **{f"from the render, {place}": (FROM_THE_RENDER, place) for place in PLACES},
+    "between frames": (BETWEEN_FRAMES, ""),
+    "reloaded in the render": (RELOADED_IN_THE_RENDER, ""),
+    "kept": (KEPT, ""),
+}
+ONE_BY_ONE = """
+import json
+for name, (code, argument, folder) in json.loads(sys.argv[1]).items():
+    faulthandler.dump_traceback_later(60, exit=True)
+    sys.argv[1:] = [folder, argument]
+    addon.register()
+    exec(code)
+    print("done:", name, flush=True)
+"""
+
+
+@pytest.fixture(scope="module")
+def disabled(tmp_path_factory, pytestconfig):
+    """The names of the scenarios that went well, and what was said of the first that did not."""
+    left_out = () if pytestconfig.option.thorough else ("from the render, render_pre",)
+    chosen = {
+        name: (code, argument, str(tmp_path_factory.mktemp("disabled")))
+        for name, (code, argument) in SCENARIOS.items()
+        if name not in left_out
+    }
+    done = run_python(BEGINNING.replace("addon.register()\n", "", 1) + ONE_BY_ONE, json.dumps(chosen))
+    well = [line.removeprefix("done: ") for line in done.stdout.splitlines() if line.startswith("done: ")]
+    return well, "" if done.returncode == 0 and "Traceback" not in done.stderr else done.stdout + done.stderr
+
+
+def assert_went_well(disabled, name):
+    well, said = disabled
+    assert name in well and not said, said or f"only these went well: {well}"
+
+
 @pytest.mark.parametrize("stage", ["render", "build"])
-def test_disabled_from_another_thread_ends_the_render_and_the_viewport(stage, tmp_path):
+def test_disabled_from_another_thread_ends_the_render_and_the_viewport(stage, disabled):
     """As in Blender's window: the render has a thread, and the preferences are on the main one."""
-    assert_well(FROM_ANOTHER_THREAD, tmp_path, stage)
+    assert_went_well(disabled, f"from another thread, {stage}")
 
 
-@pytest.mark.parametrize(
-    "place", thorough_but(["render_init", "scene", "progress"], ["render_init", "render_pre", "scene", "progress"])
-)
-def test_disabled_by_the_render_itself_goes_when_that_has_ended(place, tmp_path):
-    assert_well(FROM_THE_RENDER, tmp_path, place)
+@pytest.mark.parametrize("place", thorough_but(["render_init", "scene", "progress"], PLACES))
+def test_disabled_by_the_render_itself_goes_when_that_has_ended(place, disabled):
+    assert_went_well(disabled, f"from the render, {place}")
+
+
+def test_disabled_between_frames_ends_the_animation(disabled):
+    assert_went_well(disabled, "between frames")
+
+
+def test_disabled_and_enabled_by_the_render_goes_on(disabled):
+    assert_went_well(disabled, "reloaded in the render")
+
+
+def test_a_render_that_was_ended_leaves_its_checkpoint(disabled):
+    assert_went_well(disabled, "kept")
 
 
 def test_updated_during_a_render_renders_by_its_new_modules(tmp_path):
@@ -277,15 +328,3 @@ def test_a_movie_that_cannot_be_written_keeps_nothing_at_exit(tmp_path):
     """Blender tells of the end of no such render: who disables RayBatch is told that it stays, and it goes at exit."""
     done = assert_well(NOT_BEGUN, tmp_path)
     assert done.stderr.count("RayBatch is disabled once it has ended") == 1
-
-
-def test_disabled_between_frames_ends_the_animation(tmp_path):
-    assert_well(BETWEEN_FRAMES, tmp_path)
-
-
-def test_disabled_and_enabled_by_the_render_goes_on(tmp_path):
-    assert_well(RELOADED_IN_THE_RENDER, tmp_path)
-
-
-def test_a_render_that_was_ended_leaves_its_checkpoint(tmp_path):
-    assert_well(KEPT, tmp_path)

@@ -147,12 +147,12 @@ def _node_result(feature: Feature, cells: list[Cell], warnings: list[str], secon
     return result
 
 
-def run_picture(feature: Feature, folder: Path) -> Result:
-    """Result of a picture, with as many samples as a decision takes."""
+def run_picture(feature: Feature, folder: Path, samples: int | None = None) -> Result:
+    """Result of a picture, with as many samples as a decision takes; at first `samples`, or the feature's own."""
     started = time.perf_counter()
     result = Result(feature, OK)
     try:
-        _run_picture(feature, folder, result)
+        _run_picture(feature, folder, result, samples or feature.samples or SAMPLES)
     except RenderFailed as error:
         result.status, result.note = FAILED, str(error)
     except Exception as error:
@@ -162,11 +162,10 @@ def run_picture(feature: Feature, folder: Path) -> Result:
     return result
 
 
-def _run_picture(feature: Feature, folder: Path, result: Result) -> None:
+def _run_picture(feature: Feature, folder: Path, result: Result, samples: int) -> None:
     scene = empty_scene()
     set_alike(scene, feature.resolution)
     feature.build(scene)
-    samples = feature.samples or SAMPLES
     for _ in range(2):
         ours = raybatch_picture(scene, samples, shows=feature.shows)
         theirs = cycles_picture(scene, samples, folder, shows=feature.shows)

@@ -99,32 +99,26 @@ def test_tiers_give_the_same_film_of_each_feature(feature):
 
 @ON_CPU
 @pytest.mark.parametrize(
-    "frame",
+    "frame, changes",
     each_of(
-        3,
+        6,
         [
-            Frame(24, 20, passes=("Combined", "Depth", "Position"), transparent=True),
-            Frame(24, 20, transparent=True),
-            Frame(24, 20, passes=("Combined", "Normal")),
+            (Frame(24, 20, passes=("Combined", "Depth", "Position"), transparent=True), dict(clamp_indirect=0.5)),
+            (Frame(24, 20, transparent=True), {}),
+            (Frame(24, 20, passes=("Combined", "Normal")), {}),
+            (None, dict(nee="OFF")),
+            (None, dict(nee="HALF")),
+            (None, dict(roulette_bounce=99)),
         ],
     ),
-    ids=["depth and position", "transparent", "normal"],
+    ids=["depth, position and clamping", "transparent", "normal", "no nee", "half of nee", "no roulette"],
 )
-def test_frames_have_what_they_ask_for_and_no_more(frame):
-    specialised, general = films(replace(scenes.mixed(), frame=frame))
+def test_what_frames_and_settings_ask_for_counts_in_both_tiers(frame, changes):
+    """Frames have what they ask for, and no more."""
+    scene = scenes.mixed(frame)
+    specialised, general = films(scene, **changes)
     assert_same(general, specialised)
-    assert set(general.passes) == set(frame.passes)
-
-
-@ON_CPU
-@pytest.mark.parametrize(
-    "changes",
-    each_of(4, [dict(clamp_indirect=0.5), dict(nee="OFF"), dict(nee="HALF"), dict(roulette_bounce=99)]),
-    ids=str,
-)
-def test_settings_count_in_both_tiers(changes):
-    specialised, general = films(scenes.mixed(), **changes)
-    assert_same(general, specialised)
+    assert set(general.passes) == set(scene.frame.passes)
 
 
 @ON_CPU
@@ -169,7 +163,7 @@ def choose_general_by_itself(features, setting, device):
 @ON_CPU
 def test_a_render_changes_by_itself_where_that_pays(monkeypatch):
     """What is compiled meanwhile is used, and statistics say so."""
-    scene, asked = scenes.mixed(Frame(64, 64)), []
+    scene, asked = scenes.mixed(Frame(64, 64, passes=scenes.mixed().frame.passes)), []  # kernels of "plain"
     settings = SETTINGS.replace(sample_count=256, tile_size=16)
     Session(DEVICE).render(scene, settings.replace(kernel_tier="SPECIALISED", sample_count=1))
 

@@ -27,6 +27,7 @@ from raybatch_addon.core.cluster.session import ClusterSession
 from raybatch_addon.core.errors import BudgetError, DeviceError, SettingsError
 from tests.core.cluster.clusters import SETTINGS, cut_into, wait_for
 from tests.support import scenes
+from tests.support.running.shares import thorough_but
 from tests.support.under_test import DEVICE
 from tests.support.watched_renders import FRAME, PASSES, assert_same, assert_same_film
 
@@ -80,7 +81,7 @@ def test_what_a_machine_has_is_not_sent_again(connection, expected, monkeypatch)
     assert sent == []
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", thorough_but([0, 1], range(5)))
 def test_workers_that_are_killed_lose_nothing(connection, expected, long_tasks, seed, monkeypatch):
     if seed % 2:
         cut_into(3, monkeypatch)

@@ -5,9 +5,10 @@ import pytest
 from raybatch_addon.core.checkpoint.checkpoint import Checkpoint
 from raybatch_addon.core.checkpoint.file import load_kept
 from raybatch_addon.core.cluster.connection import Connection
+from raybatch_addon.core.cluster.ranges import RangeDeal
 from raybatch_addon.core.cluster.session import ClusterSession
 from raybatch_addon.core.errors import RayBatchError
-from tests.core.cluster.clusters import SETTINGS
+from tests.core.cluster.clusters import SETTINGS, dealing
 from tests.support import scenes
 from tests.support.running.shares import thorough_but
 from tests.support.watched_renders import FRAME, assert_same_film
@@ -25,6 +26,12 @@ CHANGES = {
     "noise and error": ADAPTIVE.replace(error_target=0.015, sample_count=128),
     "error not reached": TARGET.replace(error_target=1e-6, sample_count=40),
 }
+
+
+@pytest.fixture
+def long_tasks(monkeypatch):
+    """Every round has several ranges: of twice as many samples as in other tests, since these films have more."""
+    monkeypatch.setattr(RangeDeal, "next", dealing(4))
 
 
 @pytest.fixture(scope="module", params=CHANGES)

@@ -20,6 +20,7 @@ from raybatch_addon.core.shading.lights.table import LightTable, upload_lights
 from raybatch_addon.core.shading.lights.world import WorldLight, sampled_world
 from raybatch_addon.core.wavefront.tier import why_not_general
 from tests.support import scenes
+from tests.support.running.shares import pairs_of
 
 pytestmark = pytest.mark.usefixtures("general_kernels")
 
@@ -75,8 +76,13 @@ def picture(session, scene, **change) -> np.ndarray:
     return film.passes["Combined"][..., :3].astype(float)
 
 
-@pytest.mark.parametrize("kind", [LightKind.RECTANGLE, LightKind.ELLIPSE])
-@pytest.mark.parametrize("world", [even, varying])
+@pytest.mark.parametrize(
+    "world, kind",
+    pairs_of(
+        {"even": even, "varying": varying}.items(),
+        {"rectangle": LightKind.RECTANGLE, "ellipse": LightKind.ELLIPSE}.items(),
+    ),
+)
 def test_portals_change_the_noise_and_not_the_light(session, world, kind, examples):
     """The circle around the hole covers more than that, the square is the hole itself."""
     size = HOLE if kind == LightKind.RECTANGLE else HOLE * 2**0.5

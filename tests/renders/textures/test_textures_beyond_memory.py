@@ -10,13 +10,15 @@ import pytest
 from raybatch_addon.core.ahead import prepare
 from raybatch_addon.core.errors import OutOfMemoryError
 from raybatch_addon.core.programs.requests import prepared_scene
-from raybatch_addon.core.scene.description import Image
+from raybatch_addon.core.scene.description import Image, ImageEncoding
+from raybatch_addon.core.scene.frozen import freeze
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.shading.images.image_upload import device_bytes_of
 from raybatch_addon.core.shading.images.textures import Extension, Interpolation
 from raybatch_addon.core.wavefront.render.steps import TileSteps
-from tests.support.images.textured_scenes import COLORS, room, sky
+from tests.support.images import textured_scenes
+from tests.support.images.textured_scenes import COLORS, sky
 from tests.support.running.shares import each_of
 from tests.support.watched_renders import stopping
 
@@ -24,6 +26,14 @@ pytestmark = pytest.mark.usefixtures("general_kernels_of_module")
 WHOLE = RenderSettings(sample_count=4, bounce_max=3, seed=3, thread_count=1)
 TILED = WHOLE.replace(texture_tile_size=16, texture_budget=150_000)
 FILTERED = dict(texture_filter="FOOTPRINT", texture_filter_width=1.0)
+CLOUDS = np.random.default_rng(3).integers(0, 256, (100, 150, 3), np.uint8)
+
+
+def room(*how):
+    """The room below a world that shows an image, which is held whole: most tests have these kernels."""
+    made = textured_scenes.room(*how)
+    images = (*made.images, Image("clouds", freeze(CLOUDS), ImageEncoding.SRGB))
+    return dataclasses.replace(made, images=images, world=sky(len(made.images)))
 
 
 def same(film, expected) -> bool:
@@ -81,7 +91,7 @@ def test_a_tile_is_shown_after_a_sample_and_then_on_a_gpu_after_as_many_paths_as
 
 
 def test_the_least_pool_is_named_and_is_enough(session, whole):
-    least = enough(session, room(), TILED.replace(texture_budget=20_000))
+    least = enough(session, room(), TILED.replace(texture_budget=20_000 + CLOUDS.nbytes))
     film = session.render(room(), TILED.replace(texture_budget=least))
     tiles = film.statistics["images"]["tiles"]
     assert same(film, whole) and tiles["slots"] < tiles["tiles"] / 10 and tiles["evicted"] > tiles["slots"]
@@ -109,8 +119,9 @@ def test_all_look_ups_are_those_of_images_in_memory(session, interpolation, exte
 
 
 def test_filtered_images_are_too(session):
-    expected = session.render(room(), WHOLE.replace(**FILTERED))
-    film = session.render(room(), TILED.replace(**FILTERED))
+    scene = textured_scenes.room()  # whose world is one color
+    expected = session.render(scene, WHOLE.replace(**FILTERED))
+    film = session.render(scene, TILED.replace(**FILTERED))
     assert same(film, expected)
     names = ("filtered_look_ups", "other_look_ups", "count")
     assert all(film.statistics["images"][name] == expected.statistics["images"][name] for name in names)
@@ -157,8 +168,16 @@ def test_what_fits_is_rendered_as_ever(session, whole):
     assert prepared_scene(scene, TILED, budget) is scene
 
 
-def test_what_cannot_wait_is_held_whole_or_refused_by_name(session):
-    under = dataclasses.replace(room(), world=sky())
+def test_what_cannot_wait_is_held_whole_or_refused_by_name(session, whole):
+    film = session.render(room(), TILED)
+    assert same(film, whole) and film.statistics["images"]["bytes"] > CLOUDS.nbytes
+    with pytest.raises(OutOfMemoryError, match="“clouds”, of the world"):
+        session.render(room(), TILED.replace(texture_budget=40_000))
+
+
+@pytest.mark.thorough  # has kernels of its own
+def test_what_waits_nowhere_is_held_whole_for_surfaces_too(session):
+    under = dataclasses.replace(textured_scenes.room(), world=sky())
     expected, film = session.render(under, WHOLE), session.render(under, TILED.replace(texture_budget=700_000))
     assert same(film, expected) and film.statistics["images"]["bytes"] > under.images[COLORS].pixels.nbytes
     with pytest.raises(OutOfMemoryError, match="“colors”, of the world"):

@@ -8,6 +8,7 @@ import pytest
 from raybatch_addon.core.scene.description import Frame, Scene, Volume
 from tests.renders.volumes.test_volumes import assert_mean, filled, medium, varying
 from tests.support import scenes
+from tests.support.running.shares import each_of, pairs_of
 from tests.twins.slabs import h_function, layer
 
 pytestmark = pytest.mark.usefixtures("general_kernels")
@@ -33,7 +34,7 @@ def slab(volume: Volume, cosine: float, lit_from: int = 1, wide: float = 1.0) ->
     return dataclasses.replace(made, lights=(scenes.sun(0.0), scenes.area_light(0.0)))
 
 
-@pytest.mark.parametrize("cosine", [0.2, 1.0])
+@pytest.mark.parametrize("cosine", each_of(2, [0.2, 1.0]))
 def test_the_albedo_of_a_half_space(session, cosine):
     """It gives back 1 - H(cosine) sqrt(1 - albedo) of the light of a white sky."""
     scene = slab(DEEP, cosine)
@@ -52,8 +53,9 @@ def test_a_half_space_in_the_sun(session, examples):
     assert_mean(session, scene, sun * ALBEDOS / (4 * np.pi) / (cosine + 1) * slant, runs=24, **samples)
 
 
-@pytest.mark.parametrize("make", [medium, varying], ids=["fixed", "program"])
-@pytest.mark.parametrize("depth", [0.5, 4.0])
+@pytest.mark.parametrize(
+    "make, depth", pairs_of({"fixed": medium, "program": varying}.items(), {"thin": 0.5, "thick": 4.0}.items())
+)
 def test_what_layers_give_back_and_let_through(session, make, depth):
     """Only the optical depth counts, also where a program makes the layer denser above."""
     volume = make(0.5 * depth * (1 - ALBEDOS), 0.5 * depth * ALBEDOS)

@@ -21,6 +21,7 @@ from tests.support.under_test import DEVICE
 RENDERS = 5
 
 
+@pytest.mark.usefixtures("general_kernels")
 @pytest.mark.skipif(DEVICE != "cpu", reason="workers are on the CPU")
 def test_films_of_failing_workers_are_those_of_one_process(tmp_path):
     path = tmp_path / "faults.json"

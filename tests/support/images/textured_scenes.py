@@ -89,10 +89,10 @@ def shown(mesh: Mesh, repeats: float) -> Mesh:
     return dataclasses.replace(mesh, corner_uvs=uvs[mesh.triangles])
 
 
-def sky() -> World:
+def sky(image: int = COLORS) -> World:
     """A world that shows an image."""
     builder = ProgramBuilder()
-    place = (COLORS, Interpolation.LINEAR, EnvironmentProjection.EQUIRECTANGULAR, 0)
+    place = (image, Interpolation.LINEAR, EnvironmentProjection.EQUIRECTANGULAR, 0)
     color, _ = builder.value("environment", *place, builder.value("position", 0))
     builder.closure("emission", color)
     return World(program=builder.finish())

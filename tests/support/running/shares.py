@@ -24,6 +24,20 @@ def thorough_but(kept: Iterable, parameters: Iterable) -> list:
     return [pytest.param(each, marks=marks_of(each in kept)) for each in parameters]
 
 
+def pairs_of(first: Iterable, second: Iterable) -> list:
+    """All pairs of `first` and `second`, as parameters with names: those that have each value of both at least once are
+    run always, the others where it is thorough.
+
+    Both are of (name, value).
+    """
+    first, second = list(first), list(second)
+    return [
+        pytest.param(one, other, id=f"{name}-{other_name}", marks=marks_of(i % len(second) == k % len(first)))
+        for i, (name, one) in enumerate(first)
+        for k, (other_name, other) in enumerate(second)
+    ]
+
+
 def marks_of(always: bool) -> tuple:
     """Marks of a test that is run always, or else where it is thorough and on a GPU."""
     return () if always or DEVICE != "cpu" else (pytest.mark.thorough,)

@@ -23,7 +23,7 @@ from raybatch_addon.core.scene.geometry import upload_geometry
 from raybatch_addon.core.wavefront.rays import allocate_rays
 from raybatch_addon.core.wavefront.tracers.unbatched import trace_stage
 from tests.support import paged_scenes, scenes
-from tests.support.running.shares import each_of
+from tests.support.running.shares import each_of, pairs_of
 from tests.support.under_test import DEVICE
 from tests.twins.tree_walk import triangle_corners
 from tests.twins.treelet_walk import walk_treelets
@@ -214,8 +214,7 @@ def enough_of(error: pytest.ExceptionInfo) -> int:
     return int(number.replace(",", ""))
 
 
-@pytest.mark.parametrize("rule", [CutRule(), MANY], ids=["one", "many"])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind, rule", pairs_of(zip(KINDS, KINDS), {"one": CutRule(), "many": MANY}.items()))
 def test_a_budget_that_is_too_small_is_refused_with_the_least_one_that_is_enough(kind, rule):
     """Whatever is asked for, it is the same number."""
     with pytest.raises(OutOfMemoryError) as error:

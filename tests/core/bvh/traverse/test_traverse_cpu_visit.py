@@ -82,7 +82,7 @@ def test_the_order_of_visits_changes_nothing(
 
 
 @pytest.mark.parametrize("interleave", each_of(2, [3, 1]))
-@pytest.mark.parametrize("name", ["soup", "instances"])
+@pytest.mark.parametrize("name", each_of(2, ["instances", "soup"]))
 def test_how_many_rays_are_carried_changes_nothing(name, interleave):
     for in_turn in (True, False):
         journey, rng = Journey(name, "nodes", interleave=interleave), np.random.default_rng(3)
@@ -138,7 +138,7 @@ def test_nodes_alone_let_rays_pass_that_need_no_triangle(name):
     journey.check()
 
 
-@pytest.mark.parametrize("name", ["soup", "instances"])
+@pytest.mark.parametrize("name", each_of(2, ["instances", "soup"]))
 def test_counters(name):
     journey, whole = (Journey(name, "nodes", NO_ANY_HIT, counted=True) for _ in range(2))
     journey.alternate(np.random.default_rng(3))

@@ -150,7 +150,7 @@ def counted(count: int, device: str) -> TraceCounts:
     return counts
 
 
-@pytest.mark.parametrize("name", ("soup", "instances"))
+@pytest.mark.parametrize("name", each_of(2, ("instances", "soup")))
 def test_counters(device, name):
     count = len(case(name, device).origin)
     journey, expected, t_max = start(name, "nodes", device, NO_ANY_HIT, counts=counted(count, device))
@@ -186,7 +186,7 @@ LAUNCHES = (
 
 
 @pytest.mark.parametrize("launch", LAUNCHES, ids=str)
-@pytest.mark.parametrize("name", ("soup", "instances"))
+@pytest.mark.parametrize("name", each_of(2, ("instances", "soup")))
 def test_launch_settings_change_no_hit(device, name, launch):
     journey, expected, t_max = start(name, "nodes", device, launch=launch, top_level=TopLevelTraversal.INTERLOCKED)
     journey.alternate(np.random.default_rng(4))
