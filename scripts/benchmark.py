@@ -58,8 +58,8 @@ their own, with counters (--no-counters leaves them out).
 
 --against devices: --device names several, such as ALL; the same with the first of them alone, with two, four, and so
 on. Renders take turns, and speedup is that over one device in the same turn: of rendering, and of whole renders with
-trees. Waiting is the share of all devices' time in which they had nothing to do while others rendered. All films are
-compared bit for bit. A device renders alone what is too small to be shared; the report has who took part.
+trees. Idle is the share of all devices' time of rendering in which they were not at a tile, most of it at the end. All
+films are compared bit for bit. A device renders alone what is too small to be shared; the report has who took part.
 """
 RECORDING = """\
 Measure what it costs to record a render of SCENE, a .blend (needs bpy), a .scene.npz or the geometry of an .npz (do

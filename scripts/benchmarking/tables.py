@@ -68,12 +68,11 @@ _CORES = {
 
 def render_text(report: dict[str, Any]) -> str:
     """The report of `benchmark.py render`."""
-    frame, ours = report["frame"], report["raybatch"]
+    _frame, ours = report["frame"], report["raybatch"]
     rate = report["rays"]["total"] / ours["render"]["seconds"] / 1e6 if ours["render"]["seconds"] else 0.0
     lines = [
         f"{report['scene']}, {report['triangles']:,} triangles, on {report['device']['name']}",
-        f"{frame['width']} x {frame['height']} pixels, {report['samples_per_pixel']} samples a pixel, "
-        f"{report['bounces']} bounces, {report['rays']['total']:,} rays",
+        _rays_line(report),
         f"first render, with compilation  {report['cold']['seconds']:9.3f} s",
         f"whole render                    {_time(ours)}" + ", without export" * (report["export_s"] is not None),
         f"  tree                          {_time(ours['build'])}",
@@ -193,12 +192,11 @@ def viewport_text(report: dict[str, Any]) -> str:
 
 def memory_text(report: dict[str, Any]) -> str:
     """The report of `benchmark.py render --against memory`."""
-    frame, memory = report["frame"], report["memory"]
+    memory = report["memory"]
     lines = [
         f"{report['scene']}, {report['triangles']:,} triangles, {report['geometry_bytes'] / 1e6:,.1f} MB of tree, on "
         f"{report['device']['name']}",
-        f"{frame['width']} x {frame['height']} pixels, {report['samples_per_pixel']} samples a pixel, "
-        f"{report['bounces']} bounces, {report['rays']['total']:,} rays",
+        _rays_line(report),
         "",
     ]
     rows = [["memory", f"{report['geometry_bytes'] / 1e6:,.1f}", *_times(memory), "1", "", "", "", ""]]
@@ -239,11 +237,9 @@ def memory_text(report: dict[str, Any]) -> str:
 
 def devices_text(report: dict[str, Any]) -> str:
     """The report of `benchmark.py render --against devices`."""
-    frame = report["frame"]
     lines = [
         f"{report['scene']}, {report['triangles']:,} triangles, on {report['device']['name']}",
-        f"{frame['width']} x {frame['height']} pixels, {report['samples_per_pixel']} samples a pixel, "
-        f"{report['bounces']} bounces, {report['rays']['total']:,} rays",
+        _rays_line(report),
         "",
     ]
     rows = [
@@ -252,15 +248,23 @@ def devices_text(report: dict[str, Any]) -> str:
             _time(each["build"]).strip(),
             _time(each["render"]).strip(),
             *(f"{each[name]:.3f}" for name in ("speedup", "speedup_whole")),
-            f"{100 * each['waiting']:.1f} %",
+            f"{100 * each['idle']:.1f} %",
         ]
         for each in report["several"]
     ]
-    heads = ["devices", "trees", "render", "speedup", "with trees", "waiting"]
+    heads = ["devices", "trees", "render", "speedup", "with trees", "idle"]
     lines += [table(heads, rows), "medians, ± half the spread; speedup: over one device in the same turn", ""]
     for each in report["several"]:
         lines += [f"{', '.join(each['devices'])}: {warning}" for warning in each["warnings"]]
     return "\n".join([*lines, *_films_lines(report)])
+
+
+def _rays_line(report: dict[str, Any]) -> str:
+    frame = report["frame"]
+    return (
+        f"{frame['width']} x {frame['height']} pixels, {report['samples_per_pixel']} samples a pixel, "
+        f"{report['bounces']} bounces, {report['rays']['total']:,} rays"
+    )
 
 
 def _films_lines(report: dict[str, Any]) -> list[str]:

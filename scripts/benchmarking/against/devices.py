@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import statistics
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import warp as wp
 from lib.command import UsageError
 
 from benchmarking.against.films import FilmsCompared
+from benchmarking.against.runs import TimedRuns, times_as_fast, without_cost
 from benchmarking.progress import Steps
-from benchmarking.timing import summary
-from benchmarking.whole_render import OpenedScene, RenderRequest, TimedRender, scene_report, timed_render
+from benchmarking.whole_render import OpenedScene, RenderRequest, scene_report, timed_render
 from raybatch_addon.blender.kernel_cache import kernel_cache_folder
-from raybatch_addon.core.device.devices import find_devices
+from raybatch_addon.core.device.devices import find_devices, is_alike
 from raybatch_addon.core.film import Film
+from raybatch_addon.core.scene.description import Scene
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
 
@@ -27,39 +30,40 @@ def device_counts(there: int) -> list[int]:
 
 
 @dataclass
-class _Few:
-    """Some of the devices, and what their renders reported."""
+class _DeviceGroup(TimedRuns):
+    """Devices that render together."""
 
-    devices: Sequence[wp.Device]
-    session: Session
-    cold: dict[str, Any] = field(default_factory=dict)  # statistics of the first render
-    runs: list[dict[str, Any]] = field(default_factory=list)  # of the timed ones
-    seconds: list[float] = field(default_factory=list)  # of those, as a whole
+    aliases: Sequence[str] = ()
+    session: Session | None = None
 
     @property
     def name(self) -> str:
-        """Of the render."""
-        return f"{len(self.devices)} devices" if len(self.devices) > 1 else "one device"
+        """Of its renders."""
+        return f"{len(self.aliases)} devices" if len(self.aliases) > 1 else "one device"
 
-    def render(self, opened: OpenedScene, settings: RenderSettings) -> TimedRender:
-        """A whole render; what it leaves on the devices is given back, which the next needs."""
-        try:
-            return timed_render(self.session, opened.scene, settings)
-        finally:
-            self.session.close()
+    def render(self, scene: Scene, settings: RenderSettings, films: FilmsCompared) -> Film:
+        """A whole render, timed but for the first; what it leaves on the devices is given back, which the next group
+        needs.
+        """
+        assert self.session is not None
+        timed = timed_render(self.session, scene, settings)
+        self.session.close()
+        if self.first:
+            self.take(timed)
+        else:
+            self.first = timed.film.statistics
+        films.take(self.name, timed.film)
+        return timed.film
 
-    def report(self, one: _Few) -> dict[str, Any]:
+    def report(self, one: _DeviceGroup) -> dict[str, Any]:
         """Times, beside those of `one` device in the same turns."""
-        parts = {stage: [run["seconds"][stage] for run in self.runs] for stage in ("build", "render")}
         last = self.runs[-1]
         return {
             "devices": [each["alias"] for each in last["devices"]],
-            "cold": {"seconds": round(self.cold["seconds"]["total"], 3), "stages": self.cold["seconds"]},
-            "whole": summary(self.seconds),
-            **{stage: summary(seconds) for stage, seconds in parts.items()},
-            "speedup_whole": _speedup(one.seconds, self.seconds),
-            "speedup": _speedup([run["seconds"]["render"] for run in one.runs], parts["render"]),
-            "waiting": round(statistics.median(map(waiting, self.runs)), 4),
+            **self.times(),
+            "speedup": times_as_fast(self.stage_seconds("render"), one.stage_seconds("render")),
+            "speedup_whole": times_as_fast(self.seconds, one.seconds),
+            "idle": round(statistics.median(map(idle, self.runs)), 4),
             "paths": [each["paths"] for each in last["devices"]],
             "tree": last["tree"],
             "batching": last["batching"],
@@ -68,15 +72,29 @@ class _Few:
         }
 
 
-def waiting(reported: dict[str, Any]) -> float:
-    """The share of all devices' time in which their workers waited while others rendered; `reported` are statistics."""
+def idle(reported: dict[str, Any]) -> float:
+    """The share of the time of rendering, of all devices together, in which their workers were not at a tile: none was
+    left, or threads began, or pictures were handed out. `reported` are statistics.
+    """
     seconds, devices = reported["seconds"]["render"], reported["devices"]
     worked = sum(each["seconds_working"] for each in devices)
     return max(0.0, 1 - worked / (len(devices) * seconds)) if seconds else 0.0
 
 
-def _speedup(one: Sequence[float], several: Sequence[float]) -> float:
-    return round(statistics.median(a / b for a, b in zip(one, several, strict=True) if b), 4)
+def compared_devices(names: str) -> list[wp.Device]:
+    """Two devices or more of one model; raises `UsageError`."""
+    devices = find_devices(names)
+    if len(devices) < 2:
+        raise UsageError(
+            f"--against devices compares several devices with fewer of them, and --device {names} names "
+            f"{devices[0].alias} alone: name more, such as cuda:0,cuda:1, or ALL"
+        )
+    if unlike := [each for each in devices if not is_alike(each, devices[0])]:
+        raise UsageError(
+            f"{unlike[0].alias} is no device of the model of {devices[0].alias}, and unlike devices do not render the "
+            "same bits, which --against devices compares: leave it out"
+        )
+    return devices
 
 
 def measure_against_devices(
@@ -84,45 +102,36 @@ def measure_against_devices(
 ) -> tuple[dict[str, Any], Film]:
     """The report of `benchmark.py render --against devices`, and the film of one device; raises `RayBatchError`.
 
-    Films that differ are in the report, under `films`. Every render builds its trees anew.
+    Films that differ are in the report, under `films`. Every render builds its trees anew. The groups take turns, in
+    every other turn from the largest down.
     """
-    devices = find_devices(request.device)
-    if len(devices) < 2:
-        raise UsageError(
-            f"--against devices compares several devices with fewer of them, and --device {request.device} names "
-            f"{devices[0].alias} alone: name more, such as cuda:0,cuda:1, or ALL"
-        )
-    films, film = FilmsCompared(), None
-    compared = [
-        _Few(some, Session(",".join(each.alias for each in some), settings, kernel_cache_folder()))
-        for some in (devices[:count] for count in device_counts(len(devices)))
-    ]
-    steps = Steps(len(compared) + request.runs)
-    try:
-        for few in compared:
-            steps.begin(f"{few.name}: first render, with compilation")
-            first = few.render(opened, settings).film
-            few.cold = first.statistics
-            films.take(few.name, first)
-            film = film or first
+    aliases = [each.alias for each in compared_devices(request.device)]
+    settings = settings.replace(time_limit=0)  # by which more devices would render more samples
+    scene, films, film = without_cost(opened.scene), FilmsCompared(), None
+    counts = device_counts(len(aliases))
+    steps = Steps(len(counts) + request.runs)
+    with contextlib.ExitStack() as stack:
+        stack.callback(steps.close)
+        groups = []
+        for some in (aliases[:count] for count in counts):
+            session = Session(",".join(some), settings, kernel_cache_folder())
+            stack.callback(session.close)
+            groups.append(_DeviceGroup(aliases=some, session=session))
+        for group in groups:
+            steps.begin(f"{group.name}: first render")
+            rendered = group.render(scene, settings, films)
+            film = film or rendered
+            del rendered
             steps.end()
         for run in range(request.runs):
             steps.begin(f"run {run + 1} of {request.runs}")
-            for few in compared:
-                timed = few.render(opened, settings)
-                few.seconds.append(timed.seconds)
-                few.runs.append(timed.film.statistics)
-                films.take(few.name, timed.film)
-                del timed
+            for group in groups[:: -1 if run % 2 else 1]:
+                group.render(scene, settings, films)
             steps.end()
-    finally:
-        steps.close()
-        for few in compared:
-            few.session.close()
     assert film is not None
-    one = compared[0]
+    one = groups[0]
     return {
-        **scene_report(opened, one.runs[-1]),
-        "several": [few.report(one) for few in compared],
+        **scene_report(dataclasses.replace(opened, scene=scene), one.runs[-1]),
+        "several": [group.report(one) for group in groups],
         "films": films.report(),
     }, film

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
-import statistics
 from dataclasses import dataclass, field
 from typing import Any
 
 from lib.command import UsageError
 
 from benchmarking.against.films import FilmsCompared
+from benchmarking.against.runs import TimedRuns, times_as_fast, without_cost
 from benchmarking.progress import Steps
-from benchmarking.timing import summary
 from benchmarking.whole_render import OpenedScene, RenderRequest, scene_report, timed_render
 from raybatch_addon.core.errors import SettingsError
 from raybatch_addon.core.film import Film
-from raybatch_addon.core.film.layout import COST_PASSES
 from raybatch_addon.core.scene.description import Scene
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings, parse_setting
@@ -71,27 +68,20 @@ def _parse_budget(text: str) -> GeometryBudget:
 
 
 @dataclass
-class _Variant:
-    """One way to render, and what its runs reported."""
+class _Variant(TimedRuns):
+    """One way to render."""
 
-    name: str
-    settings: RenderSettings
-    cold: dict[str, Any]  # statistics of the first render
-    runs: list[dict[str, Any]] = field(default_factory=list)  # statistics of the timed ones
-    seconds: list[float] = field(default_factory=list)  # of those, as a whole
+    name: str = ""
+    settings: RenderSettings = field(default_factory=RenderSettings)
     stages: dict[str, float] | None = None  # by stage, of a render with counters [s]
 
     def report(self) -> dict[str, Any]:
         """Times, and what is reported for the last run."""
-        reported = self.runs[-1]
-        parts = {stage: summary([run["seconds"][stage] for run in self.runs]) for stage in ("build", "render")}
+        reported, times = self.runs[-1], self.times()
+        seconds = times["render"]["seconds"]
         return {
-            "cold": {"seconds": round(self.cold["seconds"]["total"], 3), "stages": self.cold["seconds"]},
-            "whole": summary(self.seconds),
-            **parts,
-            "rays_per_second": round(reported["rays"]["total"] / parts["render"]["seconds"])
-            if parts["render"]["seconds"]
-            else 0,
+            **times,
+            "rays_per_second": round(reported["rays"]["total"] / seconds) if seconds else 0,
             "schedule": reported["schedule"],
             "auto": reported["auto"],
             "tree": reported["tree"],
@@ -130,10 +120,7 @@ def measure_against_memory(
     the file of an earlier one where geometry lies on disk.
     """
     check_settings(request.settings, settings)
-    # passes that show cost differ between schedules, and are counted
-    frame = opened.scene.frame
-    frame = dataclasses.replace(frame, passes=tuple(name for name in frame.passes if name not in COST_PASSES))
-    scene = dataclasses.replace(opened.scene, frame=frame)
+    scene = without_cost(opened.scene)
     films = FilmsCompared()
     plain = settings.replace(geometry_budget=0, counters="OFF")
     count = 1 + len(budgets)
@@ -141,9 +128,9 @@ def measure_against_memory(
     try:
         begun = functools.partial(_begun, session, scene, films=films, counters=request.counters, steps=steps)
         whole, film = begun(MEMORY, plain.replace(batching="OFF"))
-        if not whole.cold["tree"]:
+        if not whole.first["tree"]:
             raise UsageError(f"{request.scene.path} has no triangles that could lie elsewhere")
-        geometry_bytes = whole.cold["tree"]["bytes"]
+        geometry_bytes = whole.first["tree"]["bytes"]
         variants = [whole]
         for budget in budgets:
             limited = plain.replace(geometry_budget=budget.of(geometry_bytes))
@@ -152,8 +139,7 @@ def measure_against_memory(
             steps.begin(f"run {run + 1} of {request.runs}")
             for variant in variants:
                 timed = timed_render(session, scene, variant.settings)
-                variant.seconds.append(timed.seconds)
-                variant.runs.append(timed.film.statistics)
+                variant.take(timed)
                 films.take(variant.name, timed.film)
                 del timed  # with what it holds on the device
             steps.end()
@@ -187,7 +173,7 @@ def _begun(
     steps.begin(f"{name}: first render, with compilation")
     film = timed_render(session, scene, settings).film
     steps.end()
-    variant = _Variant(name, settings, film.statistics)
+    variant = _Variant(film.statistics, name=name, settings=settings)
     films.take(name, film)
     if geometry_bytes and "pages" not in film.statistics["tree"]:
         raise UsageError(
@@ -205,15 +191,12 @@ def _begun(
 def _limited_report(variant: _Variant, whole: _Variant) -> dict[str, Any]:
     reported = variant.runs[-1]
 
-    def speed(ours: list[float], theirs: list[float]) -> float:
-        return round(statistics.median(b / a for a, b in zip(ours, theirs, strict=True)), 4)
-
-    renders = [[run["seconds"]["render"] for run in each.runs] for each in (variant, whole)]
     return {
         "budget": variant.name,
         "geometry_budget": variant.settings.geometry_budget,
         **variant.report(),
-        "speed": speed(*renders),  # of the render in memory, without trees: 1 is as fast
-        "speed_whole": speed(variant.seconds, whole.seconds),
+        # of the render in memory, without trees: 1 is as fast
+        "speed": times_as_fast(variant.stage_seconds("render"), whole.stage_seconds("render")),
+        "speed_whole": times_as_fast(variant.seconds, whole.seconds),
         **{name: reported["batching"][name] for name in _PAGING},
     }

@@ -45,9 +45,11 @@ def spread(report: Report) -> tuple[float, float]:
             by_case.setdefault(row["case"], []).append(row["seconds"])
     spreads = [0.0]
     for each in by_case.values():
-        if len(each) > 2:
-            low, middle, high = statistics.quantiles(each, n=4)
-            spreads.append((high - low) / 2 / middle)
+        if len(each) > 1:  # of two the quartiles are taken to be both
+            low, high = min(each), max(each)
+            if len(each) > 2:
+                low, _, high = statistics.quantiles(each, n=4)
+            spreads.append((high - low) / 2 / statistics.median(each))
     spreads.sort()
     return statistics.median(spreads), spreads[len(spreads) * 9 // 10]
 

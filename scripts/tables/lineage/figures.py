@@ -16,7 +16,7 @@ KINDS = {"primary": "camera", "bounce1": "bounce 1", "bounce4": "bounce 4"}
 
 def extent(values: Iterable[float]) -> str:
     """The least and the largest, with two digits; one of them where they are alike, a dash where there is none."""
-    texts = list(dict.fromkeys(f"{value:.2f}" for value in sorted(values)))
+    texts = list(dict.fromkeys(f"{value:.2f}" if value >= 0.095 else f"{value:.2g}" for value in sorted(values)))
     return "–" if not texts else texts[0] if len(texts) == 1 else f"{texts[0]}–{texts[-1]}"
 
 
@@ -24,6 +24,11 @@ def by_kind(value_of: Callable[[str], Iterable[float]]) -> str:
     """Ranges for rays of each kind, such as `camera 0.50–2.00, bounce 1 0.40`."""
     found = {name: extent(value_of(kind)) for kind, name in KINDS.items()}
     return ", ".join(f"{name} {text}" for name, text in found.items() if text != "–") or "–"
+
+
+def _is_like(tracer: str, rival: str) -> bool:
+    """Whether `tracer` is the rival with some parameters, and traces as the control does."""
+    return kind_of(tracer) == rival and "traversal=plain" not in tracer
 
 
 def on_both(text_of: Callable[[str], str]) -> str:
@@ -35,7 +40,7 @@ def on_both(text_of: Callable[[str], str]) -> str:
 def rival_in_memory(name: str, device: str) -> str:
     """Rates over those of `off`, of the best parameters, rays in their natural order."""
     found = ratios(load(f"rivals-*-{device}.json"))
-    tried = [by_case for each, by_case in found.items() if kind_of(each) == name]
+    tried = [by_case for each, by_case in found.items() if _is_like(each, name)]
     there = {case for by_case in tried for case in by_case if case[2] == "natural"}
 
     def best(kind: str) -> list[float]:
@@ -51,7 +56,7 @@ def rival_beyond(name: str, device: str) -> str:
         found = []
         for report in load(f"beyond-*-{device}.json").values():
             for (rays, _, _), by_name in cases(report).items():
-                mine = [result["mrays_per_s"] for each, result in by_name.items() if kind_of(each) == name]
+                mine = [result["mrays_per_s"] for each, result in by_name.items() if _is_like(each, name)]
                 if rays == kind and mine:
                     found.append(max(mine) / by_name[CONTROL]["mrays_per_s"])
         return found

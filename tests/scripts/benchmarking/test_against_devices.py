@@ -35,14 +35,22 @@ def test_several_devices_are_measured_beside_fewer(tmp_path, capfd, monkeypatch)
     one, *others = report["several"]
     assert one["speedup"] == one["speedup_whole"] == 1 and one["paths"] == [2 * 32 * 24]
     assert all(each["speedup"] > 0 and each["whole"]["runs"] == 2 for each in others)
-    assert all(0 <= each["waiting"] < 1 for each in report["several"])
+    assert all(0 <= each["idle"] < 1 for each in report["several"])
     assert "films are equal bit for bit" in devices_text(report)
 
 
-def test_devices_wait_while_others_render():
-    def waited(render: float, *working: float) -> float:
+def test_devices_are_idle_where_they_are_not_at_a_tile():
+    def idle(render: float, *working: float) -> float:
         rows = [{"seconds_working": each} for each in working]
-        return devices.waiting({"seconds": {"render": render}, "devices": rows})
+        return devices.idle({"seconds": {"render": render}, "devices": rows})
 
-    assert waited(2.0, 2.0, 1.0) == 0.25 and waited(1.0, 1.0) == 0 and waited(0.0, 0.0) == 0
+    assert idle(2.0, 2.0, 1.0) == 0.25 and idle(1.0, 1.0) == 0 and idle(0.0, 0.0) == 0
     assert devices.device_counts(8) == [1, 2, 4, 8] and devices.device_counts(3) == [1, 2, 3]
+
+
+def test_unlike_devices_are_refused(tmp_path, capfd, monkeypatch):
+    monkeypatch.setattr(devices, "find_devices", lambda names: [wp.get_device("cpu")] * 2)
+    monkeypatch.setattr(devices, "is_alike", lambda *_: False)
+    options = ["render", str(save_bowl(tmp_path)), "--against", "devices", "--device", "cuda:0,cpu"]
+    assert benchmark.main(options) == 1
+    assert "unlike devices do not render the same bits" in capfd.readouterr().err

@@ -5,6 +5,7 @@ const int queue_count = queues.size.shape[0];
 // The queue that the warp has just come to too late: it goes elsewhere first. The latest stages have few tokens, and all
 // warps look at the same sizes
 int in_vain = NOTHING;
+bool is_fair = false;  // the last choice
 
 // How much a warp wants to serve queue `q` next: 0, not at all. A full batch comes before every partial one; of full
 // ones that of a later stage, of treelets that of the longest queue, or as `selection` has it; of partial ones the
@@ -16,7 +17,7 @@ auto wish = [&](int q, int left, bool fair) -> int {
     if (size <= 0) return 0;
     const int after = (q - own[LAST] - 1 + queue_count) % queue_count;  // queues between the last one in turn and this
     if (fair) return (1 << 30) - after;
-    if (size < queues.full) return size;
+    if (size < (q > TREELETS ? queues.full_treelet : queues.full)) return size;
     // stages by number, but treelets last of all, behind new paths
     const int rank = q < GENERATE ? 15 - q : q == GENERATE ? 2 : 1;
     int amount = size < (1 << 24) ? size : (1 << 24) - 1;
@@ -51,21 +52,21 @@ auto choose = [&]() -> int {
     }
     chosen = of_lane(chosen, 0);
     together();
-    if (lane == 0 && chosen >= 0) {
-        own[PICKS] = own[PICKS] < (1 << 30) ? own[PICKS] + 1 : 0;
-        if (fair) own[LAST] = chosen;
-    }
+    if (lane == 0 && chosen >= 0) own[PICKS] = own[PICKS] < (1 << 30) ? own[PICKS] + 1 : 0;
+    is_fair = fair;
     together();
     return chosen;
 };
 // Tokens that the warp may take, which is then the only one that may: their number; `head` is the first one's ticket.
-// It takes a whole batch from `size` and gives back what was not there, so that warps at one queue do not wait for each
-// other; until then others see less than there is
+// It subtracts what it sees from `size`, at most a batch, and adds again what was not there any more, so that warps at
+// one queue do not wait for each other; until then others see less than there is
 auto claim = [&](int q, int& head) -> int {
-    if (look(queues.size.data + q) <= 0) return 0;
-    const int size = add(queues.size.data + q, -queues.batch);
-    const int n = size < 0 ? 0 : size < queues.batch ? size : queues.batch;
-    if (n < queues.batch) add(queues.size.data + q, queues.batch - n);
+    const int seen = look(queues.size.data + q);
+    const int wanted = seen < queues.batch ? seen : queues.batch;
+    if (wanted <= 0) return 0;
+    const int size = add(queues.size.data + q, -wanted);
+    const int n = size < 0 ? 0 : size < wanted ? size : wanted;
+    if (n < wanted) add(queues.size.data + q, wanted - n);
     if (n == 0) return 0;
     if (q > TREELETS) add(queues.room.data + q - TREELETS - 1, n);
     head = add(queues.head.data + q, n);
@@ -88,6 +89,7 @@ for (int idle = 0;;) {
     head = of_lane(head, 0);
     if (count > 0) break;
     in_vain = queue;
+    rest();
 }
 if (queue == LEAVE_NOW) return LEAVE_NOW;
 // Who puts with the same ticket was given it before, and is about to write the entry
@@ -105,6 +107,7 @@ if (lane == 0) {
     own[HELD] = count;
     own[FROM] = queue;
     own[CURSOR] = 0;
+    if (is_fair) own[LAST] = queue;
     add(counters + WORK, count);
     if (queue == GENERATE) {
         // alive before they are begun: no other warp sees that all are begun and none is alive

@@ -22,10 +22,9 @@ def check_queues(queues: StreamQueues, status: wp.array, alive: int) -> None:
     places += 1
     waiting = (tail - head) & 0xFFFFFFFF
     _check(waiting == size, lambda q: f"queue {_name(q)} has {waiting[q]} tickets and {size[q]} tokens")
-    room = np.append(np.zeros(len(Queue), np.int64), queues.room.numpy())
-    free_places = np.where(np.arange(len(size)) < len(Queue), 0, places - waiting)
-    _check(room == free_places, lambda q: f"queue {_name(q)} has room for {room[q]} tokens, not {free_places[q]}")
     _check(waiting <= places, lambda q: f"queue {_name(q)} holds {waiting[q]} tokens in {places[q]} places")
+    room, left = queues.room.numpy(), (places - waiting)[len(Queue) :]
+    _check(room == left, lambda t: f"treelet {t} has room for {room[t]} tokens, not {left[t]}")
     ring = queues.ring.numpy()
     of = np.repeat(np.arange(len(size)), places)  # the queue of each entry
     # the next ticket of each entry; where its token is there, it says one more

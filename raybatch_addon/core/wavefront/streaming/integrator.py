@@ -57,7 +57,7 @@ class StreamingIntegrator(TileIntegrator):
         device, count, batches = self.device, self.path_count, scene.treelets
         slot_count = self._rays.origin.size
         warps = self._warp_count(settings)
-        # where paths are few, so few that all warps have some
+        # where paths are few: at most half of what a warp would have if all had alike, so that as many wait in queues
         most = min(_CUDA_BATCH if device.is_cuda else _CPU_BATCH, count // (2 * warps))
         batch = min(max(most, warp_size(device)), count)
         treelets = batches.treelet_count if batches else 0
@@ -88,8 +88,8 @@ class StreamingIntegrator(TileIntegrator):
             self._work_most = max(count, _WORK_LEAST)
             aside = self._work_most + warps * queues.batch
             self._film_tiles.set_mattes_aside(self._lists.counts.at(Length.MATTES), aside)
-        # tokens of a launch: at least four batches for each warp
-        self._work_least = min(max(4 * warps * queues.batch, _WORK_LEAST), self._work_most)
+        # tokens of a launch: at least a batch for each warp
+        self._work_least = min(max(warps * queues.batch, _WORK_LEAST), self._work_most)
         self._work = self._work_least  # of the next one
 
     def _warp_count(self, settings: RenderSettings) -> int:

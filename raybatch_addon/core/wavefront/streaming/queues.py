@@ -6,9 +6,11 @@ warp never waits for room.
 
 The protocol is that of the broker queue (Kerbl, Kenzel, Mueller, Schmalstieg and Steinberger 2018, "The broker queue: a
 fast, linearizable FIFO queue for fine-granular work distribution on the GPU"), a batch at a time: `size` says how many
-tokens may still be taken, and whoever lowers it owns as many tickets of `head`; who puts raises it and owns tickets of
-`tail`. An entry of the ring says whose turn it is (Vyukov, "Bounded MPMC queue", 1024cores.net): that of a ticket whose
-token is to come, or of who has the same ticket to take it. Why nobody waits for ever is argued in docs/streaming.md.
+tokens may still be taken. Who takes subtracts what it wants, has as many tokens as were there before that, adds the
+rest again, and draws as many tickets of `head`; who puts adds to it and draws tickets of `tail`. For the small rings of
+treelets `room` counts free places in the same way. An entry of the ring says whose turn it is (Vyukov, "Bounded MPMC
+queue", 1024cores.net): that of a ticket whose token is to come, or of who has the same ticket to take it. Why nobody
+waits for ever is argued in docs/streaming.md.
 """
 
 from __future__ import annotations
@@ -82,8 +84,9 @@ class StreamQueues:
     ring: wp.array(dtype=wp.int64)
     first: wp.array(dtype=wp.int64)  # where the ring of each queue begins
     mask: wp.array(dtype=int)  # its places, a power of two from 2 on, less 1
-    size: wp.array(dtype=int)  # tokens that may be taken; less, while a warp gives back what it took too much
-    room: wp.array(dtype=int)  # free places of the ring of each treelet, likewise
+    # tokens that may be taken; too few, down to -batch for each warp, while warps subtract and add again
+    size: wp.array(dtype=int)
+    room: wp.array(dtype=int)  # free places of the ring of each treelet; too few, down to -32 for each warp, likewise
     head: wp.array(dtype=int)  # tickets taken so far, as 32 bits that run over
     tail: wp.array(dtype=int)  # tickets given so far
     counters: wp.array(dtype=int)  # by `Counter`
@@ -93,6 +96,7 @@ class StreamQueues:
     locations: wp.array2d(dtype=int)  # while they are traced: `NEW`, `DONE` or a treelet
     batch: int  # tokens that a warp takes at most
     full: int  # tokens in a queue from which on a warp need not wait for more
+    full_treelet: int  # the same for queues of treelets, whose rings may be smaller: at most half of their places
     limit: int  # items that a launch may begin
     budget: int  # tokens that a launch takes, about
     shadow_queue: int  # where shadow rays begin: SHADOW, or TRACE
@@ -122,6 +126,7 @@ def stream_bytes_per_path(path_count: int, shadow_rays: bool, cut: TreeletTree |
     wait at treelets.
     """
     size = -(-queue_bytes(path_count, cut.treelet_count if cut else 0) // path_count)
+    size += 12  # a token, its target and where its ray is: warps have at most as many in hands as there are paths
     if cut:  # a location, and how far a ray has come
         size += (1 + shadow_rays) * (4 + 4 * trail_words(cut.levels) + 4 * cut.instancing)
     return size
@@ -148,6 +153,7 @@ def allocate_queues(
     for name in ("tokens", "targets", "locations"):
         setattr(queues, name, wp.zeros((warp_count, batch), dtype=int, device=device))
     queues.batch, queues.full = batch, full
+    queues.full_treelet = min(full, treelet_places(path_count, treelet_count) // 2)
     queues.shadow_queue = int(Queue.SHADOW)
     fill_queues(queues, path_count)
     return queues

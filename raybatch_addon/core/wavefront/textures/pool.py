@@ -91,10 +91,11 @@ def refuse_few_slots(source: TileSource, budget: int, whole: int, workers: int, 
 
 def _few_slots(source: TileSource, budget: int, whole: int, workers: int, least: int) -> BudgetError:
     least = min(least, source.tile_count)
+    size = source.slot_bytes
     each, fewer = (f"for each of {workers} workers ", " or thread_count") if workers > 1 else ("", "")
     return BudgetError(
-        f"texture_budget is {budget:,} bytes, and this scene needs {whole + least * workers * source.slot_bytes:,} "
-        f"at least: {whole:,} for images that are not in tiles, and {each}{least} tiles of {source.slot_bytes:,}, which "
+        f"texture_budget is {budget:,} bytes, and this scene needs {whole + least * workers * size:,} at least: "
+        f"{whole:,} for images that are not in tiles, and {each}{least} tiles of {size:,}, which "
         f"one path may read at once; raise it, or lower texture_tile_size{fewer}, or set it to 0"
     )
 

@@ -76,16 +76,18 @@ def warp(number: int, shared: Shared, numbers: random.Random) -> Steps:
         chosen = yield from _choose(shared, picks, last, in_vain)
         in_vain = -1
         if chosen is None:
+            assert len(shared.items) == shared.ended == shared.limit, "a warp leaves while there is something to do"
             return None
         if chosen < 0:
             continue
-        if picks % FAIR_TURNS == FAIR_TURNS - 1:
-            last = chosen
+        fair = picks % FAIR_TURNS == FAIR_TURNS - 1
         picks += 1
         tokens = yield from _take(number, shared, chosen)
         if not tokens:
             in_vain = chosen
             continue
+        if fair:
+            last = chosen
         shared.chosen.append(chosen)
         targets = [Queue.GENERATE] * len(tokens)
         if chosen == Queue.GENERATE:
@@ -122,20 +124,21 @@ def _choose(shared: Shared, picks: int, last: int, in_vain: int) -> Steps:
 
 def _take(number: int, shared: Shared, queue: int) -> Generator[None, None, list[int]]:
     yield
-    if shared.size[queue] <= 0:
+    wanted = min(shared.size[queue], shared.batch)
+    if wanted <= 0:
         return []
     yield
     seen = shared.size[queue]
     if shared.fault == "look and take apart":
         yield
-    shared.size[queue] -= shared.batch
-    n = min(max(seen, 0), shared.batch)
-    if n < shared.batch and shared.fault != "too much is not given back":
+    shared.size[queue] -= wanted
+    n = min(max(seen, 0), wanted)
+    if n < wanted and shared.fault != "too much is not given back":
         yield
-        shared.size[queue] += shared.batch - n
+        shared.size[queue] += wanted - n
     if n == 0:
         return []
-    if queue > Queue.TREELETS:
+    if queue > Queue.TREELETS and shared.fault != "room is not given back":
         yield
         shared.room[queue - len(Queue)] += n
     yield

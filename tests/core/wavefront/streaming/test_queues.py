@@ -183,9 +183,15 @@ def test_checks_find_what_is_wrong(on):
         queues.ring.assign(ring)
 
     assert "tickets" in broken(lambda queues: queues.size[_TRACE : _TRACE + 1].fill_(1))
-    assert "has room for 15 tokens, not 8" in broken(lambda queues: queues.room.fill_(15))
+    assert "treelet 0 has room for 15 tokens, not 8" in broken(lambda queues: queues.room.fill_(15))
     assert "not published, or not read" in broken(lose_one)
     assert "not in exactly one queue" in broken(twice)
+
+
+def test_a_treelets_queue_is_full_before_its_ring_is(on):
+    for paths, treelets, batch in ((64, 2, 32), (4096, 1000, 512), (1 << 16, 3, 512)):
+        queues = allocate_queues(paths, treelets, 1, batch, batch // 2, on)
+        assert 1 <= queues.full_treelet <= min(batch // 2, treelet_places(paths, treelets) // 2)
 
 
 def test_rings_have_room_for_all_paths_and_those_of_treelets_for_some():
