@@ -101,10 +101,10 @@ def test_the_least_pool_is_named_and_is_enough(session, whole):
 
 def test_a_budget_that_is_too_small_is_refused_while_kernels_are_compiled(device, monkeypatch):
     """The message has what all workers need."""
-    goes_on, session = threading.Event(), Session(device)
+    goes_on, session, budget = threading.Event(), Session(device), 20_000 + CLOUDS.nbytes
     monkeypatch.setattr(prepare, "load_kernels", lambda *_: goes_on.wait(60) and [])
     try:
-        least = [enough(session, room(), TILED.replace(texture_budget=20_000, thread_count=n)) for n in (1, 3)]
+        least = [enough(session, room(), TILED.replace(texture_budget=budget, thread_count=n)) for n in (1, 3)]
         assert not goes_on.is_set() and (least[0] < least[1] if device == "cpu" else least[0] == least[1])
     finally:
         goes_on.set()
