@@ -111,7 +111,7 @@ def draw(reports: dict[str, Report], folder: Path) -> None:
                 axis.scatter(there, [j + 0.2 * (i - 1)] * len(there), s=9, color=plots.COLORS[i], label=kind)
         axis.axvline(1.0, color="#888888", linewidth=0.8)
         axis.set_xscale("log")
-        axis.set_xlabel("rate over that of the default, each scene a point")
+        axis.set_xlabel("rate over the default's, a point a scene")
         axis.set_yticks(range(len(names)), names, fontsize=6)
         axis.invert_yaxis()
         axis.set_title({"cuda": "GPU", "cpu": "CPU"}[report["device_kind"]], fontsize=9)
