@@ -16,6 +16,7 @@ import warp as wp
 
 from ...scene.flatten import FlatGeometry
 from ...scene.geometry import mat34, transform_point, transform_vector
+from .identify import merged_name
 
 
 @wp.struct
@@ -62,16 +63,8 @@ class BuiltReference:
 
 @wp.func
 def merged_hit(tree: ReferenceTree, entry: int, face: int) -> wp.vec2i:
-    """Instance and primitive of triangle `face` of an entry that holds baked instances."""
-    low = tree.merged_first[entry]
-    high = tree.merged_first[entry + 1] - 1
-    while low < high:
-        middle = (low + high + 1) / 2
-        if tree.merged_triangle_first[middle] <= face:
-            low = middle
-        else:
-            high = middle - 1
-    return wp.vec2i(tree.merged_instance[low], face - tree.merged_triangle_first[low])
+    """`merged_name` in this tree."""
+    return merged_name(tree.merged_first, tree.merged_instance, tree.merged_triangle_first, entry, face)
 
 
 @functools.cache
