@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarking.against.films import is_same
 from benchmarking.progress import Steps
 from benchmarking.timing import summary
 from benchmarking.whole_render import RenderRequest, open_scene, scene_report
@@ -120,6 +121,6 @@ def _compared(films: dict[Way, Film]) -> dict[str, Any]:
     differences = []
     for estimate in ("OFF", "ON"):
         alone, recorded = (films[way] for way in WAYS if way.error_estimate == estimate)
-        if not np.array_equal(alone.passes["Combined"], recorded.passes["Combined"]):
+        if not is_same(alone, recorded):
             differences.append(f"recorded, with error_estimate {estimate}")
     return {"compared": len(films), "equal": not differences, "differences": differences}

@@ -182,7 +182,7 @@ def framing_view(low: np.ndarray, high: np.ndarray, width: int, height: int, up:
 
 def view_axes(view: View, up: str) -> np.ndarray:
     """The camera's axes in the columns, float64, shape [3, 3]: right, up, back."""
-    back = np.subtract(view.eye, view.target)
+    back = np.subtract(view.eye, view.target, dtype=np.float64)
     back /= np.linalg.norm(back)
     right = np.cross(UP_AXES[up], back)
     if np.linalg.norm(right) < math.sqrt(np.finfo(np.float64).eps):  # straight up or down: any right will do

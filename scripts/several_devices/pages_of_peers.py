@@ -20,12 +20,11 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
 
 import warp as wp
+from benchmarking.against.films import is_same
 from benchmarking.scenes import SceneRequest, load_benchmark_scene
 
 from raybatch_addon.core.bvh.build.scene_tree import layout_for
@@ -102,11 +101,6 @@ def measured(device: str, scene: Scene, settings: RenderSettings, runs: int) -> 
         return row, film
     finally:
         session.close()
-
-
-def is_same(film: Film, other: Film) -> bool:
-    """Whether all passes have the same bits."""
-    return all(np.array_equal(values, other.passes[name], equal_nan=True) for name, values in film.passes.items())
 
 
 def main() -> int:

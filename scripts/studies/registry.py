@@ -17,6 +17,7 @@ from studies import (
     many_workers,
     schedulers,
     sequences,
+    streaming,
     thesis,
     top_level,
 )
@@ -42,6 +43,7 @@ STUDIES: dict[str, Study] = {
         hardware.STUDY,
         top_level.STUDY,
         schedulers.STUDY,
+        streaming.STUDY,
         cycles.STUDY,
     )
 }

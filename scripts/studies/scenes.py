@@ -39,14 +39,18 @@ FILES = {
     "sponza": (("sponza.npz", "crytek_sponza_half.npz"), "y"),
     "san_miguel": (("san_miguel.npz", "san_miguel_building.npz"), "z"),
     "bunny": (("bunny144k.npz", "bunny.npz"), "y"),
+    "san_francisco": (("sionna_san_francisco.npz",), "z"),
+    "hotel": (("hotel_room.npz",), "y"),
     # scenes of .blend files, as scripts/render.py saves them
     "bmw": (("bmw.scene.npz",), "z"),
     "livingroom": (("livingroom.scene.npz",), "z"),
 }
-# Where cameras of whole rooms stand: eye, target, field of view [degrees]
+# Where cameras stand that look from inside: eye, target, field of view [degrees]
 VIEWS = {
     "sponza": ((-8.0, 1.5, -0.3), (5.0, 3.5, 0.0), 70.0),
     "san_miguel": ((27.6255, -2.42353, 1.49616), (26.6582, -2.17012, 1.48803), 60.0),
+    "san_francisco": ((-350.0, -350.0, 180.0), (150.0, 100.0, 40.0), 60.0),
+    "hotel": ((7500.0, 1600.0, -10500.0), (12000.0, 900.0, -3000.0), 70.0),
 }
 HIDDEN = int(Visibility.ALL & ~Visibility.CAMERA)
 STRAY_BANNER = 24  # material of Sponza that hangs before the camera

@@ -39,6 +39,11 @@ class FilmsCompared:
         }
 
 
+def is_same(film: Film, other: Film) -> bool:
+    """Whether all passes of `film` have the same bits in `other`."""
+    return not any(differing_pixels(values, other.passes[name]) for name, values in film.passes.items())
+
+
 def differing_pixels(a: np.ndarray, b: np.ndarray) -> int:
     """Pixels of which any bit differs; `a` and `b` are float32, shape [height, width, channels]."""
     a, b = (np.ascontiguousarray(each, np.float32).view(np.uint32) for each in (a, b))

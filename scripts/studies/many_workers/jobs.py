@@ -19,8 +19,8 @@ FRAMES = 48
 STILLS = {"still, 60 s": 60.0, "still, 10 min": 600.0, "still, 5 h": 18_000.0}
 ANIMATION = f"animation, {FRAMES} frames of 60 s"
 
-# Speedups that were measured on H100s of one host (docs/devices.md): seconds of one GPU, GPUs, and how much sooner.
-# Seconds of one are known for the demo at 1,024 samples; the BMW's are assumed, and matter little
+# Speedups that were measured on H100s of one host, the last on H200s (docs/devices.md): seconds of one GPU, GPUs, and
+# how much sooner. Seconds of one are known for the demo; the BMW's are assumed, and matter little
 MEASURED = (
     ("demo, 1024 samples", 45.7, 2, 1.94),
     ("demo, 1024 samples", 45.7, 4, 3.64),
@@ -30,8 +30,11 @@ MEASURED = (
     ("BMW, 1024 samples", 180.0, 4, 3.62),
     ("BMW, 256 samples", 45.0, 2, 2.03),
     ("BMW, 256 samples", 45.0, 4, 3.81),
+    ("demo, 192 samples", 8.32, 2, 1.93),
 )
 FITTED = 1  # the row of it that the serial share was taken from
+# What was not measured, and is foretold: seconds of one GPU, and GPUs
+FORETOLD = (("demo, 1024 samples", 45.7, 8), ("BMW, 1024 samples", 180.0, 8))
 # Two workers on two cores beside one process with two threads, seconds of this and of them: a sample takes a worker
 # 1.16 times as long, and the workers start for six seconds
 LOCAL = ((32.0, 42.0), (95.0, 127.0))

@@ -8,7 +8,7 @@ from studies.top_level.results import draw, fragment
 
 STUDY = Study(
     "top-level",
-    "how the rays of a warp go through the top level: nodes that warps read, turns, and waits, on emulated warps",
+    "how the rays of a warp go through the top level: nodes that emulated warps read, turns, waits; on a GPU rates",
     cases,
     measure,
     fragment,

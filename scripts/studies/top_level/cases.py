@@ -14,6 +14,7 @@ from raybatch_addon.core.bvh.traverse.options import TopLevelTraversal
 from studies.hardware.cases import traced_scene
 from studies.hardware.record import quantised_tree
 from studies.study import Case, Options, Row
+from studies.top_level import rates
 from studies.top_level.warps import traced
 
 if TYPE_CHECKING:
@@ -28,7 +29,9 @@ TREELET_BYTES = 64 << 10
 
 
 def cases(options: Options) -> list[Case]:
-    """All of them, on whatever device: warps are emulated."""
+    """All of them: on a GPU those that are timed, else those whose warps are emulated."""
+    if options.is_cuda:
+        return rates.cases(options)
     found = []
     for scene in SCENES:
         for kind in KINDS:
@@ -40,7 +43,9 @@ def cases(options: Options) -> list[Case]:
 
 
 def measure(case: Case, turn: int, bench: Bench) -> Row:
-    """Counts of a case."""
+    """Counts of a case, or on a GPU its time."""
+    if bench.options.is_cuda:
+        return rates.measure(case, turn, bench)
     what, options = case.what, bench.options
     built, rays = prepared(what["scene"], options, options.pick(*RAYS))
     way = TopLevelTraversal[what["way"]]

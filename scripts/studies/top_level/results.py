@@ -5,8 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from studies.pages import number, table
+from studies.pages import machine, number, table
+from studies.rows import medians
+from studies.schedulers.results import spread
 from studies.study import Report, Row
+from studies.top_level import rates
 from studies.top_level.cases import KINDS, SCENES, SELECTIONS, WAYS
 from studies.top_level.warps import LANES
 
@@ -27,14 +30,36 @@ def found(report: Report) -> dict[tuple[str, str, str, str], Row]:
     return {(row["scene"], row["kind"], row["selection"], row["way"]): row for row in report["rows"]}
 
 
-def one_report(reports: dict[str, Report]) -> Report:
-    """The CPU's, or else any: emulated warps know no device."""
-    return reports.get("cpu") or next(iter(reports.values()))
-
-
 def fragment(reports: dict[str, Report]) -> str:
-    """A table for each scene and selection; figures of a ray."""
-    rows, parts = found(one_report(reports)), []
+    """Of emulated warps a table for each scene and selection, with figures of a ray; of a GPU one of rates."""
+    parts = [counts_of(reports["cpu"])] if "cpu" in reports else []
+    return "\n\n".join([*parts, rates_of(reports["cuda"])] if "cuda" in reports else parts)
+
+
+def rates_of(report: Report) -> str:
+    """Rates of whole traces on a GPU over those with NAIVE, and the spread of turns."""
+    seconds = medians(report["rows"])
+    rays = {row["case"]: row["rays"] for row in report["rows"] if row.get("rays")}
+    lines = []
+    for scene in rates.SCENES:
+        for selection in rates.SELECTIONS:
+            for kind in KINDS:
+                times = [seconds.get(f"{scene} {kind} {selection} {way}") for way in WAYS]
+                if times[0]:
+                    base = rays[f"{scene} {kind} {selection} {WAYS[0]}"] / times[0] / 1e6
+                    others = [f"{times[0] / each:.2f}" if each else "not measured" for each in times[1:]]
+                    lines.append([f"{scene}, {selection}", kind, number(base), *others])
+    usual, much = spread(report)
+    wrong = sorted({row["case"] for row in report["rows"] if row.get("wrong")})
+    hits = f"**Hits differ**, which must not be: {', '.join(wrong)}." if wrong else "All found the same hits."
+    said = f"{machine(report)} Half the distance of the quartiles is {usual:.1%} of the median, in a tenth of the cases"
+    heads = ["scene, selection", "rays", f"{WAYS[0]}, Mrays/s", *WAYS[1:]]
+    return f"{said} more than {much:.1%}. {hits}\n\n{table(heads, lines)}"
+
+
+def counts_of(report: Report) -> str:
+    """Tables of what emulated warps did."""
+    rows, parts = found(report), []
     for scene in SCENES:
         for selection in SELECTIONS:
             there = [row for key, row in rows.items() if (key[0], key[2]) == (scene, selection)]
@@ -65,7 +90,9 @@ def draw(reports: dict[str, Report], folder: Path) -> None:
     """Nodes that warps read, and turns, over those of NAIVE, of sweeps."""
     from studies import plots
 
-    rows = found(one_report(reports))
+    if "cpu" not in reports:
+        return
+    rows = found(reports["cpu"])
     present = [scene for scene in SCENES if (scene, KINDS[0], SELECTIONS[0], WAYS[0]) in rows]
     figure, axes = plots.panels(2)
     names = [f"{scene}, {kind}" for scene in present for kind in KINDS]

@@ -97,13 +97,10 @@ def schedule_beyond(name: str, device: str) -> str:
 
 
 def _schedule_rates(name: str, device: str, place: str, kind: str) -> list[float]:
-    seconds: dict[tuple[str, str], list[float]] = {}
-    for row in _rows(f"schedulers-{device}.json"):
-        if row["place"] == place and row["kind"] == kind and row["schedule"] in (name, "unbatched"):
-            seconds.setdefault((row["scene"], row["schedule"]), []).append(row["seconds"])
-    scenes = {scene for scene, schedule in seconds if schedule == name}
-    measured = [scene for scene in scenes if (scene, "unbatched") in seconds]
-    return [median(seconds[scene, "unbatched"]) / median(seconds[scene, name]) for scene in measured]
+    seconds = _medians(f"schedulers-{device}.json", ("place", "kind", "schedule", "scene"))
+    scenes = {key[3] for key in seconds if key[:3] == (place, kind, name)}
+    measured = [scene for scene in scenes if (place, kind, "unbatched", scene) in seconds]
+    return [seconds[place, kind, "unbatched", scene] / seconds[place, kind, name, scene] for scene in measured]
 
 
 def top_level_nodes(way: str) -> str:
@@ -115,6 +112,37 @@ def top_level_nodes(way: str) -> str:
         return [read[scene, way] / read[scene, "NAIVE"] for scene, its in read if its == way]
 
     return f"nodes that warps read, of NAIVE: {by_kind(values)}"
+
+
+def top_level_rates(way: str) -> str:
+    """Rates on a GPU over those of NAIVE, with sweeps."""
+    seconds = _medians("top-level-cuda.json", ("scene", "kind", "selection", "way"))
+    scenes = sorted({key[0] for key in seconds})
+
+    def values(kind: str) -> list[float]:
+        return [seconds[scene, kind, "ALL", "NAIVE"] / seconds[scene, kind, "ALL", way] for scene in scenes]
+
+    return f"rates on a GPU, over NAIVE's: {by_kind(values)}"
+
+
+def streaming(device: str) -> str:
+    """Rates of whole renders by the streaming schedule over those of the wavefront whose rays do not wait."""
+    seconds = _medians(f"streaming-{device}.json", ("scene", "batching", "schedule"))
+    scenes = sorted({key[0] for key in seconds})
+
+    def rates(batching: str) -> str:
+        return extent(seconds[scene, "OFF", "WAVEFRONT"] / seconds[scene, batching, "STREAMING"] for scene in scenes)
+
+    return f"batching OFF {rates('OFF')}, ON {rates('ON')}"
+
+
+def _medians(name: str, by: tuple[str, ...]) -> dict[tuple[str, ...], float]:
+    """Median seconds of the rows that were measured, by the values of `by`."""
+    found: dict[tuple[str, ...], list[float]] = {}
+    for row in _rows(name):
+        if row.get("seconds"):
+            found.setdefault(tuple(row[each] for each in by), []).append(row["seconds"])
+    return {key: median(values) for key, values in found.items()}
 
 
 def _rows(name: str) -> list[dict[str, Any]]:

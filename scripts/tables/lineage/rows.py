@@ -14,7 +14,9 @@ from tables.lineage.figures import (
     rival_in_memory,
     schedule_beyond,
     schedule_in_memory,
+    streaming,
     top_level_nodes,
+    top_level_rates,
 )
 
 NOT_THERE = "–"  # in place of figures
@@ -82,7 +84,7 @@ def _top_level(way: str, proposes: str, code: str, verdict: str) -> Row:
         proposes=proposes,
         code=f"raybatch_addon/core/native/traverse/quantised/{code}",
         setting=f"`top_level_traversal={way}`, on a GPU",
-        in_memory=lambda: top_level_nodes(way),
+        in_memory=lambda: f"{top_level_nodes(way)}; {top_level_rates(way)}",
         beyond=_none,
         verdict=verdict,
     )
@@ -195,7 +197,7 @@ THESIS = (
         proposes="one kernel, whose warps choose from queues on the device, no host between",
         code="raybatch_addon/core/wavefront/streaming/kernel.py",
         setting="`schedule=STREAMING`",
-        in_memory=lambda: "[what it costs](../streaming.md#what-it-costs)",
+        in_memory=lambda: on_both(streaming),
         beyond=_none,
         verdict="the same bits without deadlocks; on a GPU it batches sooner than the wavefront, and is behind it "
         "where rays do not wait",

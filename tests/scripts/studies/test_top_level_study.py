@@ -1,10 +1,13 @@
 """The study of the top level: warps of lanes that take turns, in a whole batched trace."""
 
+import sys
+
 import numpy as np
 import pytest
 from benchmarking.rays import CapturedRays, parse_ray_types
 from studies.registry import STUDIES
-from studies.study import Options
+from studies.study import Options, groups_of
+from studies.top_level import rates
 from studies.top_level.cases import KINDS, SCENES, SELECTIONS, WAYS
 from studies.top_level.warps import traced
 
@@ -51,3 +54,37 @@ def test_tables_have_a_row_for_each_case():
     text = STUDIES["top-level"].fragment({"cpu": {"rows": rows}})
     assert text.count("| NAIVE | 3 | 1 | 3 | 9 | 16 | 3 |") == len(SCENES) * len(SELECTIONS) * len(KINDS)
     assert text.count("| LONG_HAUL | 1.5 | 0.5 | 6 | 9 | 16 | 3 |") == len(SCENES) * len(SELECTIONS) * len(KINDS)
+
+
+def test_on_a_gpu_all_ways_take_turns_and_have_rates_over_naive():
+    study = STUDIES["top-level"]
+    groups = groups_of(study.cases(Options(is_cuda=True)))
+    assert len(groups) == len(rates.SCENES) * len(rates.KINDS) * len(rates.SELECTIONS)
+    for group in groups.values():
+        ways = [case.what["way"] for case in group]
+        assert ways[0] == "NAIVE" and set(WAYS) - set(ways) <= {"SHORT_SEGMENT"}
+    rows = [
+        {"case": case.key, "seconds": seconds * (2 if case.what["way"] == "LONG_HAUL" else 1), "rays": 3_000_000}
+        | {"wrong": 0, **case.what}
+        for case in study.cases(Options(is_cuda=True))
+        for seconds in (1, 1.5, 9)
+    ]
+    report = {"rows": rows, "device": {"alias": "cuda:0"}, "device_kind": "cuda", "quick": False, "versions": {}}
+    text = study.fragment({"cuda": report})
+    assert text.count("| 2 | 1.00 | 1.00 | 0.50 |") == 9
+    assert text.count("| 2 | 1.00 | not measured | 0.50 |") == 3
+    assert "All found the same hits" in text
+    rows[0]["wrong"] = 1
+    assert "**Hits differ**" in study.fragment({"cuda": report})
+
+
+def test_rates_are_of_rays_that_wait_and_meet_what_they_meet_in_the_whole_tree(monkeypatch):
+    """A scene of the study of schedulers, on a CPU, where all ways are one."""
+    options = Options("cpu", quick=True)
+    # by name the package has the function of that name
+    monkeypatch.setattr(sys.modules["studies.schedulers.cases"], "RAYS", {False: (500, 0)})
+    prepared = rates.prepared("island", "bounce1", options)
+    found = prepared.of("ALL", "NAIVE")
+    assert found.wrong == 0 and found.ray_count == 500 and found is prepared.of("ALL", "NAIVE")
+    assert found.tracer.trace().seconds > 0
+    assert found.tracer.done()["treelet_visits"] > 1, "rays wait at treelets"
