@@ -52,7 +52,7 @@ def choice_is_free(monkeypatch):
     monkeypatch.delenv(VARIABLE)
 
 
-# The frame and the setting that all tests of the mixed scene have, as kernels are specialised on them
+# The frame and the setting that tests of the mixed scene have in common, as kernels are specialised on them
 FRAME = Frame(24, 20, passes=("Combined", "Depth", "Position"), transparent=True)
 CLAMPED = dict(clamp_indirect=0.5)
 SCENES = {**schedule_scenes.SCENES, "plain": lambda: scenes.mixed(FRAME)}
@@ -216,9 +216,9 @@ def test_what_is_compiled_beside_a_render_is_told(monkeypatch):
 
 @ON_CPU
 def test_auto_takes_what_is_compiled():
-    device, scene = wp.get_device(DEVICE), scenes.mixed()
-    features = derive_features(scene, SETTINGS)
-    films(scene)
+    device, scene = wp.get_device(DEVICE), scenes.mixed(FRAME)
+    features = derive_features(scene, SETTINGS.replace(**CLAMPED))
+    films(scene, **CLAMPED)
     assert not choose_tier(features, "AUTO", device).general, "specialised kernels are there"
     rare = replace(features, lights=(), mesh_lights=False, smooth_normals=False, roulette=False)
     assert not is_compiled(StageKernels.choose(rare, device).shading[ShadingStage.SURFACE], device)
