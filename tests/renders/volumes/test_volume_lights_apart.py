@@ -11,14 +11,7 @@ from raybatch_addon.core.programs.ops.values.math import MathOperation
 from raybatch_addon.core.scene.description import Frame, Scene, Visibility, Volume
 from raybatch_addon.core.scene.features import derive_features
 from raybatch_addon.core.settings.settings import RenderSettings
-from tests.renders.volumes.test_volume_lights import (
-    ONCE,
-    UNWEIGHED,
-    assert_same_mean,
-    over_floor,
-    rising,
-    run_means,
-)
+from tests.renders.volumes.test_volume_lights import ONCE, UNWEIGHED, assert_same_mean, over_floor, rising, run_means
 from tests.renders.volumes.test_volumes import filled, medium, picture
 from tests.support import scenes
 from tests.support.under_test import DEVICE
