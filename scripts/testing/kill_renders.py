@@ -44,7 +44,6 @@ RENDER_SECONDS = 1.5  # of a film that nobody kills, about
 KILL_SECONDS = 0.6  # a render is killed at most so long after its start, and one of render.py after its first ray
 COMMAND_EVERY = 10
 BLENDER_SECONDS = 6.0  # of a film by Blender that nobody kills, about: its checkpoints come once a second
-BLENDER_ONE_KILL_SECONDS = 4.0  # the same where there is one kill
 # A process that renders a file and prints how long; arguments: this project, the file, the path of the output, settings
 BLENDER = """
 import json, os, sys
@@ -210,14 +209,14 @@ class Killed:
 class KilledBlender(Killed):
     """Renders of a file of Blender's by processes of its own, killed."""
 
-    def __init__(self, path: Path, variant: str, folder: Path, film_seconds: float):
+    def __init__(self, path: Path, variant: str, folder: Path):
         self._path, self._folder, self._variant = path, folder, variant
         self.outcome = KillOutcome(path.name, variant)
         self._sample_count = 32
         self._alone()  # kernels are compiled
         for _ in range(2):  # few samples say little of how long many take
             seconds = self._alone()[1]["render"]
-            self._sample_count = max(32, int(self._sample_count * film_seconds / seconds))
+            self._sample_count = max(32, int(self._sample_count * BLENDER_SECONDS / seconds))
         self._expected, _ = self._alone()
 
     def _alone(self) -> tuple[Any, dict[str, float]]:
@@ -277,14 +276,13 @@ def run(options: argparse.Namespace, folders: OutputFolders, standard_output: IO
         folders.prepare(Path(options.json).absolute())
     random, start = np.random.default_rng(options.seed), time.perf_counter()
     session = Session("cpu")
-    film_seconds = BLENDER_SECONDS if options.kills > 1 else BLENDER_ONE_KILL_SECONDS
     with tempfile.TemporaryDirectory(prefix="raybatch-kills-") as scratch:
         killed, scenes = [], options.scenes or _scenes_of_tests(Path(scratch))
         for number, (path, variant) in enumerate((path, name) for path in scenes for name in options.variants):
             folder = Path(scratch, str(number))
             folder.mkdir()
             killed.append(
-                KilledBlender(path.absolute(), variant, folder, film_seconds)
+                KilledBlender(path.absolute(), variant, folder)
                 if path.suffix == ".blend"
                 else Killed(session, path, variant, folder)
             )

@@ -15,7 +15,7 @@ KILLS = 3  # in a thorough run
 
 @pytest.mark.skipif(DEVICE != "cpu" or os.name == "nt", reason="processes are killed by SIGKILL, on the CPU")
 def test_a_film_of_killed_blenders_is_that_of_one_nobody_killed(scene, tmp_path, pytestconfig):
-    kills = KILLS if pytestconfig.option.thorough else 1
+    kills = KILLS if pytestconfig.option.thorough else 2
     bpy.ops.mesh.primitive_monkey_add(size=2)
     scene.world = bpy.data.worlds.new("World")
     scene.world.color = (0.2, 0.4, 0.6)
