@@ -23,6 +23,8 @@ from tests.support import scenes
 from tests.support.benchmark_scenes import assert_one_error, bowl, save_bowl
 from tests.support.command_line import HIDE_BPY, run_script
 
+pytestmark = pytest.mark.usefixtures("general_kernels_of_module")
+
 
 @pytest.fixture(scope="module")
 def geometry(tmp_path_factory) -> Path:

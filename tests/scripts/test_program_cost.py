@@ -3,12 +3,14 @@
 import dataclasses
 
 import numpy as np
+import pytest
 from benchmarking import program_cost
 
 from raybatch_addon.core.scene.description import Frame
 from raybatch_addon.core.settings.settings import RenderSettings
 
 
+@pytest.mark.usefixtures("general_kernels")
 def test_a_chain_of_500_nodes_is_one_node_folded_by_hand(session):
     chain, folded, _ = (dataclasses.replace(scene, frame=Frame(16, 16)) for scene in program_cost.scenes_of(500))
     assert len(chain.materials[0].program.instructions) > 500 > 10 > len(folded.materials[0].program.instructions)

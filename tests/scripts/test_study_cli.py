@@ -288,6 +288,7 @@ def test_rows_of_another_kind_are_refused(tmp_path):
             rows.read_report(tmp_path / "b.json")
 
 
+@pytest.mark.usefixtures("general_kernels")
 def test_a_bench_measures_renders(tmp_path):
     """What rows hold, against the session's own statistics; references are kept."""
     from studies.bench import Bench, row_of, whole_seconds

@@ -7,7 +7,6 @@ import subprocess
 import sys
 import threading
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -39,9 +38,8 @@ def test_a_request_reaches_another_process_whole():
 
 def test_a_process_compiles_what_is_found_here(tmp_path):
     """Kernels have the same names whatever the package is called that they are in."""
-    features = derive_features(scenes.mixed(), SETTINGS)
-    features = replace(features, lights=(), mesh_lights=False, world=False, smooth_normals=False, instancing=False)
-    request = CompileRequest(features, SETTINGS, TracingPlan(Method.UNBATCHED))
+    scene = scenes.scene([(scenes.plane(), scenes.IDENTITY, scenes.diffuse())], world=1.0)
+    request = CompileRequest(derive_features(scene, SETTINGS), SETTINGS, TracingPlan(Method.UNBATCHED))
     put_header(tmp_path / wp.config.version)
     process = CompileProcess(DEVICE, tmp_path, request)
     process.wait()

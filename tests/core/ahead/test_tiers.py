@@ -52,7 +52,11 @@ def choice_is_free(monkeypatch):
     monkeypatch.delenv(VARIABLE)
 
 
-SCENES = {**schedule_scenes.SCENES, "plain": scenes.mixed}
+# The frame and the setting that tests of the mixed scene have in common, as kernels are specialised on them
+FRAME = Frame(24, 20, passes=("Combined", "Depth", "Position"), transparent=True)
+CLAMPED = dict(clamp_indirect=0.5)
+SCENES = {**schedule_scenes.SCENES, "plain": lambda: scenes.mixed(FRAME)}
+CHANGES = {"plain": CLAMPED}  # of the settings, by scene
 # What is run always of those and of features, each of which compiles specialised kernels of its own
 SCENES_ALWAYS = ("plain", "living")
 HISTORY = "transparent with a program that asks for history"
@@ -77,7 +81,7 @@ def assert_same(film, expected):
 @ON_CPU
 @pytest.mark.parametrize("name", thorough_but(SCENES_ALWAYS, SCENES))
 def test_tiers_give_the_same_film(name):
-    specialised, general = films(SCENES[name]())
+    specialised, general = films(SCENES[name](), **CHANGES.get(name, {}))
     assert_same(general, specialised)
 
 
@@ -103,7 +107,7 @@ def test_tiers_give_the_same_film_of_each_feature(feature):
     each_of(
         6,
         [
-            (Frame(24, 20, passes=("Combined", "Depth", "Position"), transparent=True), dict(clamp_indirect=0.5)),
+            (FRAME, CLAMPED),
             (Frame(24, 20, transparent=True), {}),
             (Frame(24, 20, passes=("Combined", "Normal")), {}),
             (None, dict(nee="OFF")),
@@ -138,9 +142,9 @@ def test_one_kernel_gives_the_film_of_those_for_each_stage(monkeypatch):
 @ON_CPU
 @pytest.mark.parametrize("name", thorough_but(SCENES_ALWAYS, SCENES))
 def test_specialised_kernels_take_over_in_the_middle(name, monkeypatch):
-    scene = SCENES[name]()
-    features = derive_features(scene, SETTINGS)
-    expected = Session(DEVICE).render(scene, SETTINGS.replace(kernel_tier="SPECIALISED"))
+    scene, settings = SCENES[name](), SETTINGS.replace(**CHANGES.get(name, {}))
+    features = derive_features(scene, settings)
+    expected = Session(DEVICE).render(scene, settings.replace(kernel_tier="SPECIALISED"))
     turns, finish = [], TileIntegrator._finish_paths
 
     def finish_and_change(self, *arguments):
@@ -150,7 +154,7 @@ def test_specialised_kernels_take_over_in_the_middle(name, monkeypatch):
         return finish(self, *arguments)
 
     monkeypatch.setattr(TileIntegrator, "_finish_paths", finish_and_change)
-    film = Session(DEVICE).render(scene, SETTINGS.replace(kernel_tier="GENERAL", thread_count=1))
+    film = Session(DEVICE).render(scene, settings.replace(kernel_tier="GENERAL", thread_count=1))
     assert_same(film, expected)
     assert turns[2] != turns[3] == StageKernels.choose(features, wp.get_device(DEVICE))
 
@@ -163,8 +167,8 @@ def choose_general_by_itself(features, setting, device):
 @ON_CPU
 def test_a_render_changes_by_itself_where_that_pays(monkeypatch):
     """What is compiled meanwhile is used, and statistics say so."""
-    scene, asked = scenes.mixed(Frame(64, 64, passes=scenes.mixed().frame.passes)), []  # kernels of "plain"
-    settings = SETTINGS.replace(sample_count=256, tile_size=16)
+    scene, asked = scenes.mixed(replace(FRAME, width=64, height=64)), []
+    settings = SETTINGS.replace(sample_count=256, tile_size=16, **CLAMPED)
     Session(DEVICE).render(scene, settings.replace(kernel_tier="SPECIALISED", sample_count=1))
 
     def compiled(_self, request, *_):
@@ -212,11 +216,11 @@ def test_what_is_compiled_beside_a_render_is_told(monkeypatch):
 
 @ON_CPU
 def test_auto_takes_what_is_compiled():
-    device, scene = wp.get_device(DEVICE), scenes.mixed()
-    features = derive_features(scene, SETTINGS)
-    films(scene)
+    device, scene = wp.get_device(DEVICE), scenes.mixed(FRAME)
+    features = derive_features(scene, SETTINGS.replace(**CLAMPED))
+    films(scene, **CLAMPED)
     assert not choose_tier(features, "AUTO", device).general, "specialised kernels are there"
-    rare = replace(features, lights=(), mesh_lights=False, smooth_normals=False, clamping=True, roulette=False)
+    rare = replace(features, lights=(), mesh_lights=False, smooth_normals=False, roulette=False)
     assert not is_compiled(StageKernels.choose(rare, device).shading[ShadingStage.SURFACE], device)
     choice = choose_tier(rare, "AUTO", device)
     assert choice.general and choice.shading == general_features(device)

@@ -9,6 +9,7 @@ from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support import schedule_scenes
 
+pytestmark = pytest.mark.usefixtures("general_kernels_of_module")
 # of pages, where something is wrong, or where several devices hold them
 NOT_ALWAYS = {"large_treelets", "page_file_warning", "store_warning", "peer_count", "peer_bytes", "host_bytes"}
 TEXT = (Path(__file__).resolve().parents[3] / "docs/statistics.md").read_text(encoding="utf-8")

@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+import pytest
 
 from raybatch_addon.core.scene.description import Visibility
 from raybatch_addon.core.scene.flatten import flatten
@@ -53,6 +54,7 @@ def test_baked_and_shared_geometry_is_placed_by_visibility():
         assert np.all(height == (3 if instance == 1 else -1))
 
 
+@pytest.mark.usefixtures("general_kernels")
 def test_mirrored_instances_shade_like_mirrored_meshes(session):
     """The front of a mirrored object is the front whether it is baked or shared."""
     glass = scenes.material(dataclasses.replace(scenes.diffuse(0.5).closures[0], kind=5, ior=1.5, weight=(1, 1, 1)))

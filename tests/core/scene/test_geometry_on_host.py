@@ -16,6 +16,8 @@ from raybatch_addon.core.wavefront.scene import scene_cache
 from tests.support import scenes, schedule_scenes
 from tests.support.schedule_scenes import living_scene
 
+pytestmark = pytest.mark.usefixtures("general_kernels_of_module")
+
 
 @pytest.mark.parametrize("made", [scenes.mixed, living_scene])
 def test_corners_instead_of_indices_change_no_film(session, monkeypatch, made):

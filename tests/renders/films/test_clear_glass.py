@@ -13,6 +13,12 @@ pytestmark = pytest.mark.usefixtures("general_kernels_of_module")
 THRESHOLD = 0.1
 CLEAR = ClosureKind.REFRACTION
 WHITE = (1.0, 1.0, 1.0)
+# Far off: tests have kernels of these closures in common
+KINDS = (ClosureKind.DIFFUSE, ClosureKind.GLASS, ClosureKind.REFRACTION, ClosureKind.HOLDOUT)
+FAR_OFF = [
+    (scenes.plane(kind.name, 0.01), scenes.translation(1e3, 0, 0), scenes.material(Closure(kind, WHITE, ior=1.5)))
+    for kind in KINDS
+]
 
 
 def pane(kind: ClosureKind = CLEAR, roughness: float = 0.0, ior: float = 1.0, z: float = 1.0, weight=WHITE):
@@ -25,7 +31,7 @@ def seen(session, *objects, threshold: float | None = THRESHOLD, samples: int = 
     """Mean colour and alpha, shape [4], of `objects` from above under a white world, on a transparent film."""
     frame = Frame(8, 8, transparent=True, glass_roughness=threshold)
     view = scenes.camera(eye=(0.0, 0.0, 3.0), half_width=0.05, up=(0.0, 1.0, 0.0))
-    scene = scenes.scene(objects, frame=frame, view=view, world=1.0)
+    scene = scenes.scene([*objects, *FAR_OFF], frame=frame, view=view, world=1.0)
     film = session.render(scene, RenderSettings(sample_count=samples, bounce_max=4, **schedule))
     assert film.statistics["invalid_samples"] == 0
     return film.passes["Combined"].mean((0, 1))

@@ -11,7 +11,7 @@ from raybatch_addon.core.programs.ops.values.math import MathOperation
 from raybatch_addon.core.scene.description import Frame, Scene, Visibility, Volume
 from raybatch_addon.core.scene.features import derive_features
 from raybatch_addon.core.settings.settings import RenderSettings
-from tests.renders.volumes.test_volume_lights import ONCE, assert_same_mean, over_floor, rising, run_means
+from tests.renders.volumes.test_volume_lights import ONCE, UNWEIGHED, assert_same_mean, over_floor, rising, run_means
 from tests.renders.volumes.test_volumes import filled, medium, picture
 from tests.support import scenes
 from tests.support.under_test import DEVICE
@@ -80,14 +80,17 @@ def test_what_is_not_weighed_keeps_its_closed_form(session):
 
 
 def sheets(emission: float, period: float, share: float) -> Volume:
-    """Emits in thin layers, one each `period` [m] of height, in a `share` of it."""
+    """Emits in thin layers, one each `period` [m] of height, in a `share` of it; of the ops of `rising`, whose kernels
+    render it.
+    """
     builder = ProgramBuilder()
     height = builder.value("separate_xyz", builder.value("position", 0))[2]
     counted = builder.value("math", int(MathOperation.MULTIPLY), False, height, 1 / period, 0.0)
     within = builder.value("math", int(MathOperation.FRACT), False, counted, 0.0, 0.0)
     lit = builder.value("math", int(MathOperation.LESS_THAN), False, within, share, 0.0)
     bright = builder.value("math", int(MathOperation.MULTIPLY), False, lit, emission, 0.0)
-    builder.closure("emission", builder.value("splat", bright))
+    builder.closure("emission", builder.value("multiply_colors", (1.0, 1.0, 1.0), builder.value("splat", bright)))
+    builder.closure("volume_absorption", (0.0, 0.0, 0.0))
     return Volume(program=builder.finish())
 
 
@@ -96,7 +99,7 @@ def test_light_that_bounds_have_missed_is_missed_by_shadow_rays_too(session, exa
     scene = over_floor(sheets(1000.0, EDGE / 32, 0.003), edge=EDGE, place=np.array([0.0, 0.0, 0.6]))
     # a GPU's bounds leave fewer layers to be found, by rarer and brighter samples
     sample_count = 16384 if wp.get_device(DEVICE).is_cuda else examples(2048)
-    assert_rays_find_the_same(session, scene, mis="OFF", sample_count=sample_count)
+    assert_rays_find_the_same(session, scene, **UNWEIGHED, sample_count=sample_count)
 
 
 def scaled(size: float) -> Scene:

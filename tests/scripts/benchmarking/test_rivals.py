@@ -24,6 +24,8 @@ from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support import scenes
 from tests.support.benchmark_scenes import assert_one_error, bowl, save_bowl
 
+# Rays are captured in renders whose kernels do not matter
+pytestmark = pytest.mark.usefixtures("general_kernels_of_module")
 CPU = wp.get_device("cpu")
 COUNT = 333  # no multiple of a packet
 TYPES = "primary,bounce2,shadow1"

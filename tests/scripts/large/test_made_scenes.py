@@ -38,6 +38,7 @@ def test_a_seed_makes_one_scene_that_is_valid(kind):
     assert made.triangles_placed == sum(sizes[i] for i in made.instances.mesh.tolist())
 
 
+@pytest.mark.usefixtures("general_kernels")
 @pytest.mark.parametrize("kind", MADE)
 def test_it_renders(kind, device):
     session = Session(device)

@@ -7,7 +7,7 @@ import numpy as np
 import warp as wp
 
 from raybatch_addon.core.device.codegen.local_arrays import Unset
-from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
+from raybatch_addon.core.device.kernel import kernel_options, specialised_out_of_line
 from raybatch_addon.core.scene.description import Closure, ClosureKind, Material
 from raybatch_addon.core.shading.bsdf.albedo import AlbedoTables
 from raybatch_addon.core.shading.bsdf.bsdf import (
@@ -28,6 +28,7 @@ from raybatch_addon.core.wavefront.stages.surface.caustics import darken_glass
 from tests.support.under_test import DEVICE
 
 K = ClosureKind
+OPTIONS = kernel_options(specialised_out_of_line())  # compiled as stages are that shade
 # hair, which surfaces of other kinds never meet, is tested apart
 EVERYTHING = ClosureFeatures(tuple(kind for kind in K if not kind.is_hair))
 WHITE = (1.0, 1.0, 1.0)
@@ -93,7 +94,7 @@ def kernels(features, half=""):
     if half:
         bsdf = halved(bsdf, half)
 
-    @wp.kernel(**KERNEL_OPTIONS)
+    @wp.kernel(**OPTIONS)
     def evaluate(
         table: MaterialTable,
         frame: ShadingFrame,
@@ -114,7 +115,7 @@ def kernels(features, half=""):
         value[i] = result.value
         pdf[i] = result.pdf
 
-    @wp.kernel(**KERNEL_OPTIONS)
+    @wp.kernel(**OPTIONS)
     def sample(
         table: MaterialTable,
         frame: ShadingFrame,
@@ -142,7 +143,7 @@ def kernels(features, half=""):
         pdf[i] = result.pdf
         lobe[i] = result.lobe
 
-    @wp.kernel(**KERNEL_OPTIONS)
+    @wp.kernel(**OPTIONS)
     def constants(table: MaterialTable, out: wp.array(dtype=wp.vec3)):
         first = table.records[0].closure_first
         end = table.records[0].closure_end
