@@ -36,9 +36,7 @@ pytest := $(venv_python) -m pytest -n $(TEST_JOBS) --maxprocesses 4 --dist loadf
 
 # what the environment compiles ahead serves the tests
 check test test-all: export RAYBATCH_KERNEL_CACHE ?= $(CURDIR)/.cache/kernels
-test-all: export COMPILE_AHEAD = all
-# sources are checked meanwhile
-check test: export COMPILE_AHEAD = start
+check test test-all: export COMPILE_AHEAD = all
 # these need no kernels of the environment
 lint format package wheel repository docs: export COMPILE_AHEAD = later
 
@@ -79,11 +77,9 @@ format: environment
 	$(if $(native_headers),$(VENV)/bin/clang-format -i $(native_headers))
 
 check: environment lint
-	@sh scripts/environment/environment.sh all
 	$(pytest) --fast
 
 test: environment lint
-	@sh scripts/environment/environment.sh all
 	$(pytest) $(TESTS)
 
 test-all: environment
