@@ -138,6 +138,36 @@ def medians(rows: Sequence[Row], figure: str = "seconds") -> dict[str, float]:
     return {case: statistics.median(values) for case, values in found.items()}
 
 
+def spread(rows: Sequence[Row]) -> tuple[float, float]:
+    """Half the distance between the quartiles of a case over its median: of all cases the median, and of one in ten
+    more than the second.
+    """
+    by_case: dict[str, list[float]] = {}
+    for row in rows:
+        if row.get("seconds") is not None:
+            by_case.setdefault(row["case"], []).append(row["seconds"])
+    spreads = [0.0]
+    for each in by_case.values():
+        if len(each) > 1:  # of two the quartiles are taken to be both
+            low, high = min(each), max(each)
+            if len(each) > 2:
+                low, _, high = statistics.quantiles(each, n=4)
+            spreads.append((high - low) / 2 / statistics.median(each))
+    spreads.sort()
+    return statistics.median(spreads), spreads[len(spreads) * 9 // 10]
+
+
+def ratios_in_turns(rows: Sequence[Row], case: str, base: str) -> list[float]:
+    """Seconds of `base` over those of `case` in each turn that has both, the least first; empty where none has."""
+    seconds = {(row["case"], row["turn"]): row["seconds"] for row in rows if row.get("seconds")}
+    turns = {turn for _, turn in seconds}
+    return sorted(
+        seconds[base, turn] / seconds[case, turn]
+        for turn in turns
+        if (base, turn) in seconds and (case, turn) in seconds
+    )
+
+
 def first_rows(rows: Sequence[Row]) -> dict[str, Row]:
     """A row for each case: of its first turn."""
     found: dict[str, Row] = {}

@@ -45,7 +45,7 @@ FILES = {
     "bmw": (("bmw.scene.npz",), "z"),
     "livingroom": (("livingroom.scene.npz",), "z"),
 }
-# Where cameras stand that look from inside: eye, target, field of view [degrees]
+# Where cameras stand that look from inside: eye and target in the file's units, field of view [degrees]
 VIEWS = {
     "sponza": ((-8.0, 1.5, -0.3), (5.0, 3.5, 0.0), 70.0),
     "san_miguel": ((27.6255, -2.42353, 1.49616), (26.6582, -2.17012, 1.48803), 60.0),

@@ -33,8 +33,8 @@ MEASURED = (
     ("demo, 192 samples", 8.32, 2, 1.93),
 )
 FITTED = 1  # the row of it that the serial share was taken from
-# What was not measured, and is foretold: seconds of one GPU, and GPUs
-FORETOLD = (("demo, 1024 samples", 45.7, 8), ("BMW, 1024 samples", 180.0, 8))
+# What was not measured, and is predicted: seconds of one GPU, and GPUs
+PREDICTED = (("demo, 1024 samples", 45.7, 8), ("BMW, 1024 samples", 180.0, 8))
 # Two workers on two cores beside one process with two threads, seconds of this and of them: a sample takes a worker
 # 1.16 times as long, and the workers start for six seconds
 LOCAL = ((32.0, 42.0), (95.0, 127.0))

@@ -95,10 +95,10 @@ def _judged(costs: Costs) -> str:
         law = devices.amdahl(count, serial)
         what = f"{name}, {count} GPUs of a process{' (the share is of this)' if i == jobs.FITTED else ''}"
         rows.append([what, f"{measured:.2f}", f"{found:.2f}", f"{found / measured - 1:+.1%}", f"{law:.2f}"])
-    for name, seconds, count in jobs.FORETOLD:
+    for name, seconds, count in jobs.PREDICTED:
         found = seconds / devices.process_seconds(seconds, count, serial)
         law = devices.amdahl(count, serial)
-        rows.append([f"{name}, {count} GPUs of a process", "foretold", f"{found:.2f}", "", f"{law:.2f}"])
+        rows.append([f"{name}, {count} GPUs of a process (predicted)", "", f"{found:.2f}", "", f"{law:.2f}"])
     for alone, measured in jobs.LOCAL:
         found = jobs.LOCAL_START + outcome(costs, *jobs.local_job(alone)).seconds
         what = f"two workers on two cores, {alone:.0f} s alone"

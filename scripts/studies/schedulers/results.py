@@ -8,7 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from studies.pages import machine, table
-from studies.schedulers.cases import DEFAULT, KINDS, PAGED, SCENES, SCHEDULERS, SIZES, UNBATCHED, Schedule
+from studies.rays.captured import KINDS, SCENES
+from studies.rows import spread
+from studies.schedulers.cases import DEFAULT, PAGED, SCHEDULERS, SIZES, UNBATCHED, Schedule
 from studies.study import Report, Row
 
 Key = tuple[str, str, str, str]  # scene, place, kind, schedule
@@ -35,31 +37,12 @@ def ratio(found: dict[Key, float], key: Key, base: str) -> float | None:
     return theirs / mine if mine and theirs else None
 
 
-def spread(report: Report) -> tuple[float, float]:
-    """Half the distance between the quartiles of a case over its median: of all cases the median, and of one in ten
-    more than the second.
-    """
-    by_case: dict[str, list[float]] = {}
-    for row in report["rows"]:
-        if row.get("seconds") is not None:
-            by_case.setdefault(row["case"], []).append(row["seconds"])
-    spreads = [0.0]
-    for each in by_case.values():
-        if len(each) > 1:  # of two the quartiles are taken to be both
-            low, high = min(each), max(each)
-            if len(each) > 2:
-                low, _, high = statistics.quantiles(each, n=4)
-            spreads.append((high - low) / 2 / statistics.median(each))
-    spreads.sort()
-    return statistics.median(spreads), spreads[len(spreads) * 9 // 10]
-
-
 def fragment(reports: dict[str, Report]) -> str:
     """Tables of each device."""
     parts = []
     for report in reports.values():
         found = medians(report)
-        usual, much = spread(report)
+        usual, much = spread(report["rows"])
         parts += [
             machine(report)
             + f" Half the distance of the quartiles is {usual:.1%} of the median, in a tenth of the cases more than "

@@ -20,6 +20,7 @@ BUNNIES = {False: 1, True: 4}  # along an edge of their grid, by whether on a GP
 # Pixels along the edges, samples: quick and full, by whether on a GPU
 FRAMES = {False: ((64, 36, 2), (320, 180, 16)), True: ((320, 180, 4), (1280, 720, 32))}
 BOUNCES = 7
+EDGE = 64  # of a frame, before it is that of the study [pixels]
 
 
 def cases(options: Options) -> list[Case]:
@@ -49,9 +50,11 @@ def measure(case: Case, turn: int, bench: Bench) -> Row:
 
 
 def made(name: str, options: Options) -> Scene:
-    """A scene of the study."""
+    """A scene of the study, in a small square frame that `measure` replaces; raises `UsageError` where its file is not
+    found.
+    """
     if name == "room":
-        return scenes.room(64, 64)
+        return scenes.room(EDGE, EDGE)
     if name == "bunny":
-        return scenes.grid(name, options, BUNNIES[options.is_cuda], 64)
-    return scenes.under_the_sky(name, options, 64)
+        return scenes.grid(name, options, BUNNIES[options.is_cuda], EDGE)
+    return scenes.under_the_sky(name, options, EDGE)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from studies.pages import device_title, films_line, machine, table
-from studies.rows import differing_films, medians
+from studies.rows import differing_films, ratios_in_turns
 from studies.streaming.cases import BATCHINGS, SCENES, SCHEDULES
 from studies.study import Report, Row
 
@@ -15,17 +15,16 @@ WAVEFRONT, STREAMING = SCHEDULES
 HEADS = ("scene", *(f"batching {each}" for each in BATCHINGS), "ON, over the wavefront's OFF", "million rays")
 
 
-def over_wavefront(report: Report, scene: str, batching: str, base: str) -> float | None:
-    """Seconds of the streaming schedule with `batching` over those of the wavefront with `base`; None where one was not
-    measured.
+def over_wavefront(rows: Sequence[Row], scene: str, batching: str, base: str) -> float | None:
+    """Seconds of the streaming schedule with `batching` over those of the wavefront with `base`: the median of turns;
+    None where one was not measured.
     """
-    found = medians(report["rows"])
-    mine, theirs = found.get(f"{scene} {batching} {STREAMING}"), found.get(f"{scene} {base} {WAVEFRONT}")
-    return mine / theirs if mine and theirs else None
+    found = ratios_in_turns(rows, f"{scene} {base} {WAVEFRONT}", f"{scene} {batching} {STREAMING}")
+    return statistics.median(found) if found else None
 
 
-def spread(rows: Sequence[Row]) -> float:
-    """The greatest distance between two turns of a case over its median."""
+def range_over_median(rows: Sequence[Row]) -> float:
+    """The greatest distance between two turns of a case over its median, of all cases."""
     seconds: dict[str, list[float]] = {}
     for row in rows:
         if row.get("seconds"):
@@ -41,14 +40,14 @@ def fragment(reports: dict[str, Report]) -> str:
         rays = {row["scene"]: row["rays"] for row in rows if row.get("rays")}
         lines = []
         for scene in SCENES:
-            ratios = [over_wavefront(report, scene, each, each) for each in BATCHINGS]
-            ratios.append(over_wavefront(report, scene, BATCHINGS[1], BATCHINGS[0]))
+            ratios = [over_wavefront(rows, scene, each, each) for each in BATCHINGS]
+            ratios.append(over_wavefront(rows, scene, BATCHINGS[1], BATCHINGS[0]))
             if any(ratios):
                 texts = ["" if each is None else f"{each:.2f}" for each in ratios]
                 lines.append([scene, *texts, f"{rays[scene] / 1e6:.3g}"])
         films = sum(1 for row in rows if row.get("film") and row.get("complete"))
         parts += [
-            f"{machine(report)} Turns of a case are at most {spread(rows):.0%} apart. "
+            f"{machine(report)} Turns of a case are at most {range_over_median(rows):.0%} apart. "
             + films_line(differing_films(rows, ("scene",)), films),
             table(HEADS, lines),
         ]
@@ -62,7 +61,7 @@ def draw(reports: dict[str, Report], folder: Path) -> None:
     figure, axes = plots.panels(len(reports))
     for axis, report in zip(axes, reports.values(), strict=True):
         for i, batching in enumerate(BATCHINGS):
-            found = [over_wavefront(report, scene, batching, batching) for scene in SCENES]
+            found = [over_wavefront(report["rows"], scene, batching, batching) for scene in SCENES]
             there = [j for j, each in enumerate(found) if each]
             places, widths = [j + 0.35 * (i - 0.5) for j in there], [found[j] or 0.0 for j in there]
             axis.barh(places, widths, height=0.35, color=plots.COLORS[i], label=f"batching {batching}")

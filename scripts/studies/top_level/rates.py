@@ -13,7 +13,7 @@ from benchmarking.tracers.stages import StageTracer
 
 from raybatch_addon.core.bvh.traverse.options import TopLevelTraversal
 from raybatch_addon.core.settings.settings import RenderSettings
-from studies.schedulers.cases import captured, different, kept_trees
+from studies.rays.captured import captured, different, kept_trees
 from studies.study import Case, Options, Row
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ KINDS = ("bounce1", "bounce4", "primary")
 SELECTIONS = ("ALL", "MOST_FULL")
 WAYS = tuple(TopLevelTraversal.__members__)
 TREELET_BYTES = 1 << 20
-# Minutes a trace: small buckets of many treelets, out of which a segment brings few rays at a time
+# Not through in a minute: buckets of many treelets one by one, into which a segment brings few rays at a time
 LEFT_OUT = {("bunny", "MOST_FULL", "SHORT_SEGMENT")}
 
 
@@ -42,7 +42,9 @@ def cases(_: Options) -> list[Case]:
 
 
 def measure(case: Case, turn: int, bench: Bench) -> Row:
-    """Trace all rays once; the first time their hits are compared with those of the whole tree before."""
+    """Trace all rays once [s]; the first time their hits are compared with those of the whole tree before. Raises
+    `UsageError` where the scene's file is not found.
+    """
     what = case.what
     traced = prepared(what["scene"], what["kind"], bench.options).of(what["selection"], what["way"])
     return {"seconds": traced.tracer.trace().seconds, "rays": traced.ray_count, "wrong": traced.wrong}

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import statistics
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from studies.pages import machine, number, table
-from studies.rows import medians
-from studies.schedulers.results import spread
+from studies.rows import medians, ratios_in_turns
 from studies.study import Report, Row
 from studies.top_level import rates
 from studies.top_level.cases import KINDS, SCENES, SELECTIONS, WAYS
@@ -37,24 +38,30 @@ def fragment(reports: dict[str, Report]) -> str:
 
 
 def rates_of(report: Report) -> str:
-    """Rates of whole traces on a GPU over those with NAIVE, and the spread of turns."""
-    seconds = medians(report["rows"])
-    rays = {row["case"]: row["rays"] for row in report["rows"] if row.get("rays")}
+    """Rates of whole traces on a GPU over those with NAIVE: medians of turns, and the least and the most of them."""
+    rows = report["rows"]
+    seconds, rays = medians(rows), {row["case"]: row["rays"] for row in rows if row.get("rays")}
     lines = []
     for scene in rates.SCENES:
         for selection in rates.SELECTIONS:
             for kind in KINDS:
-                times = [seconds.get(f"{scene} {kind} {selection} {way}") for way in WAYS]
-                if times[0]:
-                    base = rays[f"{scene} {kind} {selection} {WAYS[0]}"] / times[0] / 1e6
-                    others = [f"{times[0] / each:.2f}" if each else "not measured" for each in times[1:]]
-                    lines.append([f"{scene}, {selection}", kind, number(base), *others])
-    usual, much = spread(report)
-    wrong = sorted({row["case"] for row in report["rows"] if row.get("wrong")})
+                naive, *others = (f"{scene} {kind} {selection} {way}" for way in WAYS)
+                if naive in seconds:
+                    over = [_extent(ratios_in_turns(rows, each, naive)) for each in others]
+                    lines.append([f"{scene}, {selection}", kind, number(rays[naive] / seconds[naive] / 1e6), *over])
+    wrong = sorted({row["case"] for row in rows if row.get("wrong")})
     hits = f"**Hits differ**, which must not be: {', '.join(wrong)}." if wrong else "All found the same hits."
-    said = f"{machine(report)} Half the distance of the quartiles is {usual:.1%} of the median, in a tenth of the cases"
-    heads = ["scene, selection", "rays", f"{WAYS[0]}, Mrays/s", *WAYS[1:]]
-    return f"{said} more than {much:.1%}. {hits}\n\n{table(heads, lines)}"
+    said = (
+        f"{machine(report)} Rates over those of {WAYS[0]} in the same turn, in brackets the least and the most. {hits}"
+    )
+    return f"{said}\n\n{table(['scene, selection', 'rays', f'{WAYS[0]}, Mrays/s', *WAYS[1:]], lines)}"
+
+
+def _extent(ratios: Sequence[float]) -> str:
+    if not ratios:
+        return "not measured"
+    middle = f"{statistics.median(ratios):.2f}"
+    return f"{middle} ({ratios[0]:.2f} to {ratios[-1]:.2f})" if len(ratios) > 1 else middle
 
 
 def counts_of(report: Report) -> str:

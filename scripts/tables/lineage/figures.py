@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterable
 from statistics import median
 from typing import Any
 
+from studies.rows import ratios_in_turns
+
 from tables.experiment_data import FOLDER, cases, load
 from tables.rivals_table import CONTROL, kind_of, ratios
 
@@ -116,24 +118,26 @@ def top_level_nodes(way: str) -> str:
 
 def top_level_rates(way: str) -> str:
     """Rates on a GPU over those of NAIVE, with sweeps."""
-    seconds = _medians("top-level-cuda.json", ("scene", "kind", "selection", "way"))
-    scenes = sorted({key[0] for key in seconds})
+    rows = _rows("top-level-cuda.json")
+    scenes = sorted({row["scene"] for row in rows})
 
     def values(kind: str) -> list[float]:
-        return [seconds[scene, kind, "ALL", "NAIVE"] / seconds[scene, kind, "ALL", way] for scene in scenes]
+        found = [ratios_in_turns(rows, f"{each} {kind} ALL {way}", f"{each} {kind} ALL NAIVE") for each in scenes]
+        return [median(each) for each in found if each]
 
-    return f"rates on a GPU, over NAIVE's: {by_kind(values)}"
+    return f"rates of sweeps on a GPU, over NAIVE's: {by_kind(values)}"
 
 
 def streaming(device: str) -> str:
     """Rates of whole renders by the streaming schedule over those of the wavefront whose rays do not wait."""
-    seconds = _medians(f"streaming-{device}.json", ("scene", "batching", "schedule"))
-    scenes = sorted({key[0] for key in seconds})
+    rows = _rows(f"streaming-{device}.json")
+    scenes = sorted({row["scene"] for row in rows})
 
     def rates(batching: str) -> str:
-        return extent(seconds[scene, "OFF", "WAVEFRONT"] / seconds[scene, batching, "STREAMING"] for scene in scenes)
+        found = [ratios_in_turns(rows, f"{each} {batching} STREAMING", f"{each} OFF WAVEFRONT") for each in scenes]
+        return extent(median(each) for each in found if each)
 
-    return f"batching OFF {rates('OFF')}, ON {rates('ON')}"
+    return f"whole renders, batching OFF {rates('OFF')}, ON {rates('ON')}"
 
 
 def _medians(name: str, by: tuple[str, ...]) -> dict[tuple[str, ...], float]:

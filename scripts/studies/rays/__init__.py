@@ -1,0 +1,1 @@
+"""Rays that several studies trace."""
