@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from lib.films import differing_passes
 
-from benchmarking.against.films import is_same
 from benchmarking.progress import Steps
 from benchmarking.timing import summary
 from benchmarking.whole_render import RenderRequest, open_scene, scene_report
@@ -121,6 +121,6 @@ def _compared(films: dict[Way, Film]) -> dict[str, Any]:
     differences = []
     for estimate in ("OFF", "ON"):
         alone, recorded = (films[way] for way in WAYS if way.error_estimate == estimate)
-        if not is_same(alone, recorded):
+        if differing_passes(alone.passes, recorded.passes):
             differences.append(f"recorded, with error_estimate {estimate}")
     return {"compared": len(films), "equal": not differences, "differences": differences}

@@ -22,6 +22,7 @@ for folder in Path(__file__).resolve().parents[1:3]:  # of the scripts, and of t
 
 import numpy as np
 from lib.command import UsageError, run_command
+from lib.films import differing_passes
 from lib.output import OutputFolders, leave
 
 from testing.report import heading, of_chance, publish
@@ -144,9 +145,8 @@ class Killed:
         ):
             if not np.array_equal(mine.counts, theirs.counts):
                 return "other samples"
-            for name, values in theirs.passes.items():
-                if not np.array_equal(mine.passes[name], values, equal_nan=True):
-                    return f"the pass {name} differs"
+            for name in differing_passes(mine.passes, theirs.passes):
+                return f"the pass {name} differs"
         if left := [each.name for each in self._folder.iterdir() if each.name.startswith(".")]:
             return f"{left[0]} was left"
         return ""

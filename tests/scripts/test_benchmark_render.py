@@ -15,6 +15,7 @@ from benchmarking.scenes import SceneRequest
 from benchmarking.slopes import Timed, relmse_of_pairs
 from benchmarking.tables import render_text, slopes_text
 from benchmarking.whole_render import RenderRequest
+from lib.films import differing_passes
 
 from raybatch_addon.core.convergence.errors import RELMSE_MOST
 from raybatch_addon.core.scene.archive import save_scene
@@ -204,6 +205,9 @@ def test_pixels_differ_by_their_bits():
     b[0, 0] = -0.0
     b[1, 2, 3] = np.nextafter(np.float32(0), np.float32(1))
     assert films.differing_pixels(a, b) == 2
+    nan = np.full_like(a, np.nan)
+    assert differing_passes({"Combined": a, "Mist": nan}, {"Mist": nan.copy(), "Combined": a.copy()}) == []
+    assert differing_passes({"Combined": a, "Depth": a}, {"Combined": b, "Mist": nan}) == ["Combined", "Depth", "Mist"]
 
 
 def test_budgets_are_bytes_or_shares():

@@ -105,6 +105,11 @@ def test_a_given_camera_sees_its_target_in_the_middle_and_up_upwards(up):
     assert tall[3] - tall[2] == pytest.approx(2 * math.tan(math.radians(30)))
 
 
+def test_whole_numbers_are_a_view_too():
+    ints, floats = (View((each(0), each(0), each(5)), (each(0), each(3), each(1)), 1.0) for each in (int, float))
+    assert np.array_equal(view_axes(ints, "y"), view_axes(floats, "y"))
+
+
 @pytest.mark.parametrize("up", ["y", "z"])
 def test_straight_down_has_axes_too(up):
     eye = {"y": (0.0, 5.0, 0.0), "z": (0.0, 0.0, 5.0)}[up]

@@ -117,6 +117,15 @@ def test_amdahls_law_and_its_inverse():
     assert devices.process_seconds(10.0, 1, 0.3) == pytest.approx(10.0)
 
 
+def test_what_was_not_measured_is_predicted_from_what_was():
+    serial = devices.serial_share(*jobs.MEASURED[jobs.FITTED][2:])
+    for name, seconds, count in jobs.PREDICTED:
+        assert count > max(each[2] for each in jobs.MEASURED), name
+        found = seconds / devices.process_seconds(seconds, count, serial)
+        # tiles that end late cost something beyond the share that is not shared
+        assert 0.95 * devices.amdahl(count, serial) < found < devices.amdahl(count, serial)
+
+
 def test_measured_speedups_are_met():
     """Those of GPUs of a process within 6 percent, by one figure of theirs; those of two workers within 10."""
     serial = devices.serial_share(*jobs.MEASURED[jobs.FITTED][2:])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from lib.films import differing_pixels
 
 from raybatch_addon.core.film import Film
 
@@ -37,14 +38,3 @@ class FilmsCompared:
             "equal": not self._differences,
             "differences": list(dict.fromkeys(self._differences)),
         }
-
-
-def is_same(film: Film, other: Film) -> bool:
-    """Whether all passes of `film` have the same bits in `other`."""
-    return not any(differing_pixels(values, other.passes[name]) for name, values in film.passes.items())
-
-
-def differing_pixels(a: np.ndarray, b: np.ndarray) -> int:
-    """Pixels of which any bit differs; `a` and `b` are float32, shape [height, width, channels]."""
-    a, b = (np.ascontiguousarray(each, np.float32).view(np.uint32) for each in (a, b))
-    return int((a != b).any(-1).sum())

@@ -18,6 +18,7 @@ for folder in Path(__file__).resolve().parents[2:4]:  # of the scripts, and of t
 
 import numpy as np
 from lib.command import UsageError, run_command
+from lib.films import differing_passes
 from lib.output import OutputFolders, leave
 
 from testing.report import heading, of_chance, publish
@@ -88,11 +89,7 @@ class Variant:
         for mine, theirs in pairs:
             if not np.array_equal(mine.counts, theirs.counts):
                 found.append("pixels have other numbers of samples")
-            found += [
-                f"the pass {name} differs"
-                for name, values in theirs.passes.items()
-                if not np.array_equal(mine.passes[name], values, equal_nan=True)
-            ]
+            found += [f"the pass {name} differs" for name in differing_passes(mine.passes, theirs.passes)]
         if film.statistics["rays"] != expected.statistics["rays"]:
             found.append("other rays were traced")
         return found + why_not_all(film.statistics["cluster"]["shares"], self.settings.sample_count)

@@ -55,8 +55,7 @@ def choice_is_free(monkeypatch):
 # The frame and the setting that tests of the mixed scene have in common, as kernels are specialised on them
 FRAME = Frame(24, 20, passes=("Combined", "Depth", "Position"), transparent=True)
 CLAMPED = dict(clamp_indirect=0.5)
-SCENES = {**schedule_scenes.SCENES, "plain": lambda: scenes.mixed(FRAME)}
-CHANGES = {"plain": CLAMPED}  # of the settings, by scene
+SCENES = {**schedule_scenes.SCENES, "plain": scenes.mixed}
 # What is run always of those and of features, each of which compiles specialised kernels of its own
 SCENES_ALWAYS = ("plain", "living")
 HISTORY = "transparent with a program that asks for history"
@@ -81,7 +80,7 @@ def assert_same(film, expected):
 @ON_CPU
 @pytest.mark.parametrize("name", thorough_but(SCENES_ALWAYS, SCENES))
 def test_tiers_give_the_same_film(name):
-    specialised, general = films(SCENES[name](), **CHANGES.get(name, {}))
+    specialised, general = films(SCENES[name]())
     assert_same(general, specialised)
 
 
@@ -142,7 +141,7 @@ def test_one_kernel_gives_the_film_of_those_for_each_stage(monkeypatch):
 @ON_CPU
 @pytest.mark.parametrize("name", thorough_but(SCENES_ALWAYS, SCENES))
 def test_specialised_kernels_take_over_in_the_middle(name, monkeypatch):
-    scene, settings = SCENES[name](), SETTINGS.replace(**CHANGES.get(name, {}))
+    scene, settings = SCENES[name](), SETTINGS
     features = derive_features(scene, settings)
     expected = Session(DEVICE).render(scene, settings.replace(kernel_tier="SPECIALISED"))
     turns, finish = [], TileIntegrator._finish_paths

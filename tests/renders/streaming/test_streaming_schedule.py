@@ -199,8 +199,10 @@ def test_other_renders_import_none_of_it(cpu_compiler):
         "from raybatch_addon.core.settings.settings import RenderSettings\n"
         "from tests.support import schedule_scenes\n"
         "session = Session('cpu')\n"
-        "film = session.render(schedule_scenes.closed_scene(), RenderSettings(sample_count=1, kernel_tier='GENERAL'))\n"
-        "assert film.statistics['rays']['total'] > 0\n"
-        "assert not [name for name in sys.modules if '.wavefront.streaming' in name]\n"
+        "for batching in ('AUTO', 'ON'):\n"
+        "    settings = RenderSettings(sample_count=1, kernel_tier='GENERAL', batching=batching)\n"
+        "    film = session.render(schedule_scenes.closed_scene(), settings)\n"
+        "    assert film.statistics['rays']['total'] > 0\n"
+        "assert not [name for name in sys.modules if '.streaming' in name]\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

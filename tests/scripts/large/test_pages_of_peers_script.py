@@ -32,5 +32,5 @@ def test_stores_are_rendered_in_turn_and_give_one_film(report, monkeypatch):
     assert all(row["same"] and len(row["seconds"]) == 1 for row in found["renders"].values())
     assert found["renders"]["PEERS"]["store"] == "HOST" and found["renders"]["in memory"]["store"] is None
     assert any("not PEERS" in text for text in found["renders"]["PEERS"]["warnings"])
-    monkeypatch.setattr(pages_of_peers, "is_same", lambda film, other: False)
+    monkeypatch.setattr(pages_of_peers, "differing_passes", lambda mine, other: ["Combined"])
     assert report()[0] == 1

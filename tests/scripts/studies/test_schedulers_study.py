@@ -2,9 +2,11 @@
 
 import numpy as np
 from benchmarking.tracers.interface import Hits
+from studies.rays.captured import KINDS, SCENES, different
 from studies.registry import STUDIES
-from studies.schedulers.cases import DEFAULT, KINDS, ON_CUDA, PLACES, SCENES, SCHEDULERS, UNBATCHED, different
-from studies.schedulers.results import medians, ratio, spread
+from studies.rows import spread
+from studies.schedulers.cases import DEFAULT, ON_CUDA, PLACES, SCHEDULERS, UNBATCHED
+from studies.schedulers.results import medians, ratio
 from studies.study import Options, groups_of
 
 from raybatch_addon.core.settings.settings import SETTINGS
@@ -64,7 +66,7 @@ def test_tables_and_medians():
     found = medians(report)
     assert ratio(found, ("bunny", "memory", "bounce1", "LAZY"), DEFAULT) == 0.5
     assert ratio(found, ("bunny", "memory", "bounce4", "LAZY"), DEFAULT) is None
-    assert spread(report)[1] > 0.3
+    assert spread(rows)[1] > 0.3
     text = STUDIES["schedulers"].fragment({"cpu": report})
     assert "| LAZY |  | 0.17 |  | 0.17 |" in text and "| LAZY |  | 0.50 |  | 0.50 |" in text
     assert "found the same hits" in text

@@ -1,10 +1,9 @@
 """The study of the top level: warps of lanes that take turns, in a whole batched trace."""
 
-import sys
-
 import numpy as np
 import pytest
 from benchmarking.rays import CapturedRays, parse_ray_types
+from studies.rays import captured
 from studies.registry import STUDIES
 from studies.study import Options, groups_of
 from studies.top_level import rates
@@ -64,27 +63,57 @@ def test_on_a_gpu_all_ways_take_turns_and_have_rates_over_naive():
         ways = [case.what["way"] for case in group]
         assert ways[0] == "NAIVE" and set(WAYS) - set(ways) <= {"SHORT_SEGMENT"}
     rows = [
-        {"case": case.key, "seconds": seconds * (2 if case.what["way"] == "LONG_HAUL" else 1), "rays": 3_000_000}
-        | {"wrong": 0, **case.what}
+        {"case": case.key, "turn": turn, "seconds": seconds * (2 if case.what["way"] == "LONG_HAUL" else 1)}
+        | {"rays": 3_000_000, "wrong": 0, **case.what}
         for case in study.cases(Options(is_cuda=True))
-        for seconds in (1, 1.5, 9)
+        for turn, seconds in enumerate((1, 1.5, 9))  # ratios are of one turn
     ]
     report = {"rows": rows, "device": {"alias": "cuda:0"}, "device_kind": "cuda", "quick": False, "versions": {}}
     text = study.fragment({"cuda": report})
-    assert text.count("| 2 | 1.00 | 1.00 | 0.50 |") == 9
-    assert text.count("| 2 | 1.00 | not measured | 0.50 |") == 3
+    alike, half = "1.00 (1.00 to 1.00)", "0.50 (0.50 to 0.50)"
+    assert text.count(f"| 2 | {alike} | {alike} | {half} |") == 9
+    assert text.count(f"| 2 | {alike} | not measured | {half} |") == 3
     assert "All found the same hits" in text
     rows[0]["wrong"] = 1
     assert "**Hits differ**" in study.fragment({"cuda": report})
 
 
-def test_rates_are_of_rays_that_wait_and_meet_what_they_meet_in_the_whole_tree(monkeypatch):
+@pytest.fixture
+def few_rays(monkeypatch):
+    """Scenes are captured with few rays, and not kept for others."""
+    monkeypatch.setattr(captured, "RAYS", {False: (500, 0)})
+    yield
+    for each in (captured.captured, captured.kept_trees, rates.prepared):
+        each.cache_clear()
+
+
+def test_rates_are_of_rays_that_wait_and_meet_what_they_meet_in_the_whole_tree(few_rays):
     """A scene of the study of schedulers, on a CPU, where all ways are one."""
-    options = Options("cpu", quick=True)
-    # by name the package has the function of that name
-    monkeypatch.setattr(sys.modules["studies.schedulers.cases"], "RAYS", {False: (500, 0)})
-    prepared = rates.prepared("island", "bounce1", options)
+    prepared = rates.prepared("island", "bounce1", Options("cpu", quick=True))
     found = prepared.of("ALL", "NAIVE")
     assert found.wrong == 0 and found.ray_count == 500 and found is prepared.of("ALL", "NAIVE")
     assert found.tracer.trace().seconds > 0
     assert found.tracer.done()["treelet_visits"] > 1, "rays wait at treelets"
+
+
+def test_each_way_is_traced_by_its_settings(few_rays, monkeypatch):
+    asked = []
+
+    class Stood:
+        def __init__(self, name, trees, device, settings, budget):
+            asked.append(
+                (settings.bucket_selection, settings.top_level_traversal, settings.treelet_bytes, budget.bytes)
+            )
+
+        def build(self, scene): ...
+        def load(self, rays, threads): ...
+        def trace(self): ...
+        def hits(self):
+            return prepared._expected
+
+    prepared = rates.prepared("island", "bounce1", Options("cpu", quick=True))
+    monkeypatch.setattr(rates, "WaitingTracer", Stood)
+    for selection in rates.SELECTIONS:
+        for way in rates.WAYS:
+            assert prepared.of(selection, way).wrong == 0
+    assert asked == [(each, way, 1 << 20, 0) for each in rates.SELECTIONS for way in rates.WAYS]

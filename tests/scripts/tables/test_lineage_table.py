@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from tables import lineage_table
+from tables.lineage import figures
 from tables.lineage.figures import extent, hardware_beyond
 from tables.lineage.rows import HARDWARE, RIVALS, THESIS
 
@@ -41,3 +42,29 @@ def test_ranges_are_over_scenes():
     with pytest.raises(ValueError, match="has no policy 'none'"):
         hardware_beyond("none")
     assert Path(lineage_table.PAGE).is_file()
+
+
+def row(case: str, turn: int, seconds: float | None, **what) -> dict:
+    return {"case": case, "turn": turn, "seconds": seconds, **what}
+
+
+def test_rates_are_of_turns_and_faster_is_more(monkeypatch):
+    rows = [
+        row("a bounce1 ALL NAIVE", 0, 3.0, scene="a"),
+        row("a bounce1 ALL LONG_HAUL", 0, 6.0, scene="a"),
+        row("a bounce1 ALL NAIVE", 1, 30.0, scene="a"),
+        row("a bounce1 ALL LONG_HAUL", 1, 60.0, scene="a"),
+        row("b bounce1 ALL NAIVE", 0, 3.0, scene="b"),
+        row("b bounce1 ALL LONG_HAUL", 0, 2.0, scene="b"),
+        row("c bounce1 ALL NAIVE", 0, 2.0, scene="c"),
+        row("c bounce1 ALL LONG_HAUL", 0, None, scene="c"),
+    ]
+    monkeypatch.setattr(figures, "_rows", lambda name: rows)
+    assert figures.top_level_rates("LONG_HAUL").endswith(": bounce 1 0.50–1.50")
+
+
+def test_whole_renders_are_over_those_whose_rays_do_not_wait(monkeypatch):
+    seconds = {"OFF WAVEFRONT": 1.0, "OFF STREAMING": 2.0, "ON WAVEFRONT": 5.0, "ON STREAMING": 4.0}
+    rows = [row(f"room {name}", 0, each, scene="room") for name, each in seconds.items()]
+    monkeypatch.setattr(figures, "_rows", lambda name: rows)
+    assert figures.streaming("cuda") == "whole renders, batching OFF 0.50, ON 0.25"

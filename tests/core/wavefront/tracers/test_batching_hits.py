@@ -35,7 +35,7 @@ from raybatch_addon.core.wavefront.tracers.worker_rays import WorkerRays
 from tests.core.wavefront.tracers.wandering import PARALLEL, SELECTIONS, drain, slot_list
 from tests.support import scenes
 from tests.support.paged_scenes import hairy, living
-from tests.support.running.shares import each_of, marks_of, thorough_but
+from tests.support.running.shares import each_of, marks_of
 from tests.support.under_test import DEVICE
 from tests.support.wide_trees import soup, sphere
 
@@ -176,8 +176,7 @@ def test_hits_are_those_of_the_unbatched_tracer(name, layout, selection, storage
 @pytest.mark.parametrize("shadow_kind", each_of(2, [RayKind.TRANSPARENT_SHADOW, RayKind.OCCLUSION]))
 @pytest.mark.parametrize("storage", ["INDIRECT", "DIRECT"])
 @pytest.mark.parametrize("layout", LAYOUTS)
-# What has hair and moves has all that the other has; hair alone is also traced by `test_streaming.py`
-@pytest.mark.parametrize("name", thorough_but(["living"], SCENES))
+@pytest.mark.parametrize("name", SCENES)
 def test_segments_and_things_that_move(name, layout, storage, shadow_kind):
     cut = cut_case(name, layout)[1]
     deform = cut.treelets.deform.numpy() if name == "living" else np.zeros(1)
@@ -227,22 +226,26 @@ def stages_together(name: str, top_level: TopLevelTraversal) -> dict[VisitTask, 
 
 @pytest.mark.skipif(DEVICE != "cpu", reason="lanes that take turns are of CPUs")
 @pytest.mark.parametrize(
-    "selection, settings",
+    "name, selection, settings",
     [
-        ("ALL", {"capacity": 32}),
-        ("MOST_FULL", {"ray_storage": "DIRECT", "debug_checks": "ON"}),
-        ("MOST_FULL", {"queue_size": 16, "queue_count": 3, "bucket_wait_max": 5}),
-        ("NEXT", {"ray_storage": "DIRECT", "rays_few": 8}),
-        ("RANDOM", {"debug_checks": "ON", "rays_few": 60}),
-        ("ALL", {"ray_storage": "DIRECT"}),
-        ("BALANCED", {"treelet_prefetch": "ON"}),
-        ("ALL", {"debug_checks": "ON", "rays_few": 50}),
-        ("LAZY", {"bucket_processors": 3, "debug_checks": "ON"}),
+        pytest.param(name, selection, settings, marks=marks_of(name == "living" or i == 1))
+        for name in ("instances", "living")
+        for i, (selection, settings) in enumerate(
+            (
+                ("ALL", {"capacity": 32}),
+                ("MOST_FULL", {"ray_storage": "DIRECT", "debug_checks": "ON"}),
+                ("MOST_FULL", {"queue_size": 16, "queue_count": 3, "bucket_wait_max": 5}),
+                ("NEXT", {"ray_storage": "DIRECT", "rays_few": 8}),
+                ("RANDOM", {"debug_checks": "ON", "rays_few": 60}),
+                ("ALL", {"ray_storage": "DIRECT"}),
+                ("BALANCED", {"treelet_prefetch": "ON"}),
+                ("ALL", {"debug_checks": "ON", "rays_few": 50}),
+                ("LAZY", {"bucket_processors": 3, "debug_checks": "ON"}),
+            )
+        )
     ],
     ids=str,
 )
-# Instances alone are a part of the scene in which things move, and have kernels of their own
-@pytest.mark.parametrize("name", thorough_but(["living"], ["instances", "living"]))
 def test_rays_of_a_warp_that_go_together(name, selection, settings):
     """Whatever the queues are and who serves them, where some rays pass treelets that others of their warp enter."""
     shadow_kind = RayKind.TRANSPARENT_SHADOW if selection == "NEXT" else RayKind.OCCLUSION
