@@ -127,10 +127,12 @@ class RayCollector:
             left = self.ray_count - self._counts.get(wanted.name, 0)
             if wanted.shadow != shadow or left <= 0:
                 continue
-            where = np.flatnonzero(bounce == wanted.bounce)[:left]
+            where = np.flatnonzero(bounce == wanted.bounce)
+            # a shadow ray to a point of a lamp that it begins at may have no length: it meets nothing
+            where = where[_gathered(rays.t_max, _indices(slots[where], rays)) > 0][:left] if len(where) else where
             chosen = slots[where]
             if len(chosen):
-                indices = wp.array(chosen, dtype=int, device=rays.origin.device)
+                indices = _indices(chosen, rays)
                 columns = [_gathered(column, indices) for column in (rays.origin, rays.direction, rays.t_max)]
                 # the tracer's own array is there only if it reads it
                 seen = np.full(len(chosen), int(Visibility.SHADOW)) if shadow else _kinds(status[chosen])
@@ -177,6 +179,10 @@ def pixel_samples(work: TileWork, number: np.ndarray) -> tuple[np.ndarray, np.nd
     row, column = np.divmod(rest, np.minimum(8, width - 8 * block))
     place = np.stack([int(work.x) + 8 * block + column, int(work.y) + 8 * strip + row], 1)
     return place.astype(np.int32), (int(work.sample_first) + sample).astype(np.int32)
+
+
+def _indices(slots: np.ndarray, rays: Rays) -> wp.array:
+    return wp.array(slots, dtype=int, device=rays.origin.device)
 
 
 def _gathered(array: wp.array, indices: wp.array) -> np.ndarray:

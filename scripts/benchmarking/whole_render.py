@@ -95,7 +95,8 @@ def _open_blend(request: RenderRequest) -> OpenedScene:
     import raybatch_addon
     from raybatch_addon.export.settings import settings_from
 
-    raybatch_addon.register()
+    if not hasattr(bpy.types.Scene, "raybatch"):  # of a file that was opened before
+        raybatch_addon.register()
     try:
         bpy.ops.wm.open_mainfile(filepath=str(path.resolve()))
     except RuntimeError as error:

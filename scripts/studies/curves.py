@@ -167,7 +167,7 @@ def draw_curves(reports: dict[str, Report], folder: Path, file: str, against: Se
     """A panel a scene and device: RMSE of every run, log-log, each variant in one colour."""
     from converging.ticks import plain_ticks
 
-    from studies.plots import COLORS, legend, panels, save
+    from studies.plots import COLORS, LINES, legend, panels, save
 
     wanted = [
         (report, scene, x)
@@ -180,13 +180,13 @@ def draw_curves(reports: dict[str, Report], folder: Path, file: str, against: Se
     names = list(dict.fromkeys(name for report, scene, _ in wanted for name in variants(report, scene)))
     for axis, (report, scene, x) in zip(axes, wanted, strict=True):
         for variant in variants(report, scene):
-            color = COLORS[names.index(variant) % len(COLORS)]
+            again, place = divmod(names.index(variant), len(COLORS))
+            color, line = COLORS[place], LINES[again % len(LINES)]
             for index, row in enumerate(runs(report, scene, variant)):
                 points = [(p[x], p["rmse"]) for p in row["points"] if p[x] > 0]
                 label = variant if index == 0 else None
-                axis.plot(
-                    *zip(*points, strict=True), "o-", color=color, markersize=2.5, linewidth=0.9, alpha=0.8, label=label
-                )
+                drawn: dict[str, Any] = {"color": color, "markersize": 2.5, "linewidth": 0.9, "alpha": 0.8, "label": label}
+                axis.plot(*zip(*points, strict=True), f"o{line}", **drawn)
         _guide(
             axis,
             [

@@ -12,6 +12,10 @@ from matplotlib import pyplot
 
 # Colours that people who confuse colours distinguish (Okabe and Ito 2008)
 BLUE, ORANGE, GREEN, RED, SKY, PINK, GREY = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#56b4e9", "#cc79a7", "#777777"
+# Of a legend: a key, a letter, and a line [inch]; and lines that a figure has room for as it is
+LEGEND_INCH, LEGEND_ROWS = (0.5, 0.062, 0.19), 4
+# Of lines whose colours are used up
+LINES = ("-", "--", ":", "-.")
 COLORS = (BLUE, RED, GREEN, ORANGE, PINK, SKY, GREY)
 
 
@@ -31,14 +35,16 @@ def panels(count: int, width: float = 0.0, columns: int = 4) -> tuple[pyplot.Fig
 
 
 def legend(figure: pyplot.Figure, axes: list[pyplot.Axes], columns: int = 4) -> None:
-    """One for all panels, below them, each name once."""
+    """One for all panels, below them, each name once; in as many of `columns` as the figure is wide enough for."""
     found: dict[str, Any] = {}
     for axis in axes:
         for handle, text in zip(*axis.get_legend_handles_labels(), strict=True):
             found.setdefault(text, handle)
-    figure.legend(
-        list(found.values()), list(found), fontsize=8, loc="outside lower center", ncols=min(columns, len(found))
-    )
+    width, height = figure.get_size_inches()
+    columns = max(1, min(columns, len(found), int(width / (LEGEND_INCH[0] + LEGEND_INCH[1] * max(map(len, found))))))
+    rows = -(-len(found) // columns)
+    figure.set_size_inches(width, height + LEGEND_INCH[2] * max(0, rows - LEGEND_ROWS))
+    figure.legend(list(found.values()), list(found), fontsize=8, loc="outside lower center", ncols=columns)
 
 
 def save(figure: pyplot.Figure, folder: Path, name: str) -> None:

@@ -19,7 +19,7 @@ from studies.bench import Bench, refused
 from studies.curves import judge_anew
 from studies.pages import put_fragment
 from studies.rows import RowFile, gathered, read_report, write_report
-from studies.scenes import FILES, find
+from studies.scenes import FILES, find_all
 from studies.study import Case, Options, Report, Study, groups_of, part_of
 
 DATA = "data"  # folder beside the pages
@@ -97,9 +97,8 @@ def measure(
     ]
     if not left:
         return True
-    for name in dict.fromkeys(str(case.what.get("scene", "")).split(":")[0] for _, case in left):
-        if name in FILES:
-            find(name, options)  # before time is spent on others
+    names = dict.fromkeys(str(case.what.get("scene", "")).split(":")[0] for _, case in left)
+    find_all([name for name in names if name in FILES], options)  # before time is spent on any
     steps, began = Steps(len(left)), time.perf_counter()
     bench = Bench(options)
     try:

@@ -64,16 +64,25 @@ def folders_of(text: str | None) -> tuple[Path, ...]:
 
 def find(name: str, options: Options) -> Path:
     """The archive of a scene; raises `UsageError` that says where it was looked for."""
-    names = FILES[name][0]
-    for folder in options.scenes:
-        for each in names:
-            if (folder / each).is_file():
-                return folder / each
-    where = ", ".join(map(str, options.scenes)) or "no folder was given"
-    raise UsageError(
-        f"the scene {name} ({' or '.join(names)}) was not found ({where}): give its folder with --scenes, or in "
-        f"{VARIABLE}"
-    )
+    return find_all([name], options)[0]
+
+
+def find_all(names: Sequence[str], options: Options) -> list[Path]:
+    """The archives of scenes; raises `UsageError` that names all that are missing, and says where they were looked
+    for.
+    """
+    found = [_found(name, options) for name in names]
+    missing = [f"{name} ({' or '.join(FILES[name][0])})" for name, path in zip(names, found, strict=True) if not path]
+    if missing:
+        where = ", ".join(map(str, options.scenes)) or "no folder was given"
+        what = f"the scene {missing[0]} was" if len(missing) == 1 else f"the scenes {', '.join(missing)} were"
+        raise UsageError(f"{what} not found ({where}): give the folder with --scenes, or in {VARIABLE}")
+    return [path for path in found if path]
+
+
+def _found(name: str, options: Options) -> Path | None:
+    paths = (folder / each for folder in options.scenes for each in FILES[name][0])
+    return next((path for path in paths if path.is_file()), None)
 
 
 def view_of(name: str) -> View | None:

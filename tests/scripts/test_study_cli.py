@@ -381,6 +381,10 @@ def test_numbers_are_written_to_be_read():
             ["budgets", "--device", "cpu", "--scenes", "/nowhere"],
             "the scene dragon (dragon.npz) was not found (/nowhere)",
         ),
+        (
+            ["top-level", "--quick", "--device", "cpu", "--scenes", "/nowhere"],
+            "the scenes sponza (sponza.npz or crytek_sponza_half.npz), san_miguel (",
+        ),
         (["budgets", "--draw"], "measure it first"),
         (["budgets", "--gather", "/nowhere/rows.jsonl"], "cannot be read"),
     ],

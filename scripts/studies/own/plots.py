@@ -49,7 +49,7 @@ def _draw_axis(definition: Definition, reports: dict[str, Report], folder: Path,
     from studies.plots import COLORS, legend, panels, save
 
     places = [(scene.name, MEASURES[name]) for scene in definition.scenes for name in definition.measures]
-    figure, axes = panels(len(places), columns=max(1, len(definition.measures)))
+    figure, axes = panels(len(places), columns=max(1, min(4, len(definition.measures))))
     others = {name: values for name, values in definition.axes.items() if name != axis}
     combinations = [dict(zip(others, values, strict=True)) for values in itertools.product(*others.values())]
     many = len(reports) > 1

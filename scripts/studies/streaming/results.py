@@ -46,8 +46,10 @@ def fragment(reports: dict[str, Report]) -> str:
                 texts = ["" if each is None else f"{each:.2f}" for each in ratios]
                 lines.append([scene, *texts, f"{rays[scene] / 1e6:.3g}"])
         films = sum(1 for row in rows if row.get("film") and row.get("complete"))
+        short = " Renders of the quick study are too short to say which schedule is ahead." if report["quick"] else ""
         parts += [
-            f"{machine(report)} Turns of a case are at most {range_over_median(rows):.0%} apart. "
+            f"{machine(report)}{short} Seconds of the streaming schedule over those of the wavefront: below 1 the "
+            f"streaming schedule is ahead. Turns of a case are at most {range_over_median(rows):.0%} apart. "
             + films_line(differing_films(rows, ("scene",)), films),
             table(HEADS, lines),
         ]

@@ -67,6 +67,7 @@ def _extent(ratios: Sequence[float]) -> str:
 def counts_of(report: Report) -> str:
     """Tables of what emulated warps did."""
     rows, parts = found(report), []
+    parts.append("Figures of a ray, in the top level alone, on warps that are emulated.")
     for scene in SCENES:
         for selection in SELECTIONS:
             there = [row for key, row in rows.items() if (key[0], key[2]) == (scene, selection)]
@@ -95,6 +96,8 @@ def _lines(rows: dict[tuple[str, str, str, str], Row], scene: str, selection: st
 
 def draw(reports: dict[str, Report], folder: Path) -> None:
     """Nodes that warps read, and turns, over those of NAIVE, of sweeps."""
+    from converging.ticks import plain_ticks
+
     from studies import plots
 
     if "cpu" not in reports:
@@ -110,12 +113,13 @@ def draw(reports: dict[str, Report], folder: Path) -> None:
                 for scene in present
                 for kind in KINDS
             ]
-            places = [j + 0.2 * (i - 1.5) for j in range(len(names))]
-            axis.barh(places, values, height=0.2, color=plots.COLORS[i], label=way)
+            places = [j + 0.15 * (i - 1.5) for j in range(len(names))]
+            axis.plot(values, places, "o", markersize=5, color=plots.COLORS[i], label=way)
         axis.axvline(1.0, color="#888888", linewidth=0.8)
         axis.set_xscale("log")
-        axis.set_xlabel(f"{title}, over those of NAIVE")
+        plain_ticks(axis.xaxis, 0.15)
+        axis.set_xlabel(f"{title}, over those of NAIVE ({SELECTIONS[0]})")
         axis.set_yticks(range(len(names)), names if of == "fetches" else [""] * len(names), fontsize=7)
         axis.invert_yaxis()
-    axes[0].legend(fontsize=7)
+    plots.legend(figure, axes)
     plots.save(figure, folder, "top-level")

@@ -3,6 +3,8 @@
 import json
 
 import pytest
+from benchmarking.scenes import SceneRequest
+from benchmarking.whole_render import RenderRequest, open_scene
 
 from tests.support.scripts_here import call_script
 
@@ -89,3 +91,11 @@ def test_two_sample_counts_separate_set_up_from_sampling_and_a_report_is_not_mad
     written = kept.stat().st_mtime_ns
     again = call_script("benchmark.py", "render", blend, *options)
     assert again.returncode == 0 and "measured before" in again.stdout and kept.stat().st_mtime_ns == written
+
+
+def test_files_are_opened_one_after_another_in_one_process(blend):
+    """As a study of several does, and where the add-on is registered already."""
+    opened = [open_scene(RenderRequest(SceneRequest(blend), size=(16, 12))) for _ in range(2)]
+    assert [each.scene.frame.width for each in opened] == [16, 16]
+    assert opened[0].scene.object_names == opened[1].scene.object_names
+    assert opened[1].settings.clamp_direct == pytest.approx(0.01)

@@ -14,6 +14,7 @@ from benchmarking.traces.file import FORMAT, HIT_ARRAYS, RAY_ARRAYS, geometry_di
 from lib.command import UsageError
 
 from raybatch_addon.core.scene.archive import save_scene
+from raybatch_addon.core.scene.description import Closure, ClosureKind
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.stages.work import TileWork
 from tests.support import scenes
@@ -57,6 +58,20 @@ def run(*arguments) -> int:
 
 
 # --- recorded
+
+
+@pytest.mark.usefixtures("general_kernels")
+def test_shadow_rays_of_no_length_are_no_rays_of_a_trace(tmp_path):
+    """Of a lamp that reflects, too: some paths that it begins aim at a point of its own triangle."""
+    glowing = scenes.material(Closure(ClosureKind.DIFFUSE, (0.8,) * 3), Closure(ClosureKind.EMISSION, (1.0,) * 3))
+    lamp = scenes.sphere("lamp", segments=8, rings=5, radius=0.5), scenes.IDENTITY, glowing
+    floor = scenes.plane("floor", 4.0), scenes.translation(0, 0, -1), scenes.diffuse()
+    made = scenes.scene([lamp, floor], view=scenes.camera(eye=(0, -3, 1)))
+    save_scene(tmp_path / "lamp.scene.npz", made, RenderSettings())
+    command = ["record-rays", tmp_path / "lamp.scene.npz", "--out", tmp_path / "rays.npz", "--device", "cpu"]
+    assert run(*command, "--rays", "shadow1", "--ray-count", 2000) == 0
+    trace = read_trace(tmp_path / "rays.npz")  # refuses them
+    assert len(trace) == 2000 and trace.arrays["t_max"].min() > 0
 
 
 def test_a_trace_holds_the_rays_of_a_render_in_their_order(folder):
