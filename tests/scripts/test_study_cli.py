@@ -381,10 +381,7 @@ def test_numbers_are_written_to_be_read():
             ["budgets", "--device", "cpu", "--scenes", "/nowhere"],
             "the scene dragon (dragon.npz) was not found (/nowhere)",
         ),
-        (
-            ["top-level", "--quick", "--device", "cpu", "--scenes", "/nowhere"],
-            "the scenes sponza (sponza.npz or crytek_sponza_half.npz), san_miguel (",
-        ),
+        (["top-level", "--device", "cpu", "--scenes", "/nowhere"], "half.npz), san_miguel (san_miguel.npz or "),
         (["budgets", "--draw"], "measure it first"),
         (["budgets", "--gather", "/nowhere/rows.jsonl"], "cannot be read"),
     ],
