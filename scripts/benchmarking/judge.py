@@ -32,6 +32,7 @@ RELATIVE_BOUND = ROUNDINGS * UNIT_ROUNDOFF * 3**0.5  # of a length, from that of
 # roundings [rad]; what float64 finds for flatter ones is noise
 FLATTEST = 2.0**-23
 CHUNK = 1 << 14  # triangles of one thread
+FAULTY_MOST = 100
 PAIRS_MAX = {"cpu": 500_000_000, "cuda": 200_000_000_000}  # rays times triangles of one judgement
 
 
@@ -42,6 +43,7 @@ class Verdict:
     disagreements: int  # rays whose hits differ from the other's by more than roundings
     judged: int  # of these, for how many float64 was asked
     faults: int  # of these, how many answers of this tracer are wrong
+    faulty: tuple[int, ...] = ()  # of these, the first `FAULTY_MOST`, as indices of the rays that were judged
 
 
 @wp.struct
@@ -217,7 +219,10 @@ class Judge:
         wrong = [
             faults(each.hit[judged], None if each.t is None else each.t[judged], before, after) for each in answers
         ]
-        return [Verdict(len(where), len(judged), int(each.sum())) for each in wrong]
+        return [
+            Verdict(len(where), len(judged), int(each.sum()), tuple(judged[each][:FAULTY_MOST].tolist()))
+            for each in wrong
+        ]
 
 
 def faults(hit: np.ndarray, t: np.ndarray | None, before: np.ndarray, after: np.ndarray) -> np.ndarray:

@@ -185,7 +185,13 @@ def draw_curves(reports: dict[str, Report], folder: Path, file: str, against: Se
             for index, row in enumerate(runs(report, scene, variant)):
                 points = [(p[x], p["rmse"]) for p in row["points"] if p[x] > 0]
                 label = variant if index == 0 else None
-                drawn: dict[str, Any] = {"color": color, "markersize": 2.5, "linewidth": 0.9, "alpha": 0.8, "label": label}
+                drawn: dict[str, Any] = {
+                    "color": color,
+                    "markersize": 2.5,
+                    "linewidth": 0.9,
+                    "alpha": 0.8,
+                    "label": label,
+                }
                 axis.plot(*zip(*points, strict=True), f"o{line}", **drawn)
         _guide(
             axis,

@@ -199,7 +199,10 @@ def test_of_many_rays_that_differ_some_are_judged_evenly_and_once_for_both(monke
     monkeypatch.setitem(judging.PAIRS_MAX, "cpu", 10 * len(scene.meshes[0].triangles))
     asked = []
     monkeypatch.setattr(judge, "certainties", lambda rays: (asked.append(rays), Judge.certainties(judge, rays))[1])
-    assert judge.compare_both(rays, wrong, right) == (Verdict(50, 10, 10), Verdict(50, 10, 0))
+    assert judge.compare_both(rays, wrong, right) == (
+        Verdict(50, 10, 10, (50, 55, 60, 66, 71, 77, 82, 88, 93, 99)),
+        Verdict(50, 10, 0),
+    )
     assert len(asked) == 1 and asked[0].origin[[0, -1], 0].tolist() == origin[[50, 99], 0].tolist()
 
 

@@ -89,6 +89,7 @@ def compare_hits(
                     "ray_count": len(rays),
                     "hits": int(other.hit.sum()),
                     "theirs": described(verdicts[0]),
+                    "faulty_rays": trace.where(rays.type, ray_count)[list(verdicts[0].faulty)].tolist(),
                     "ours": described(verdicts[1]),
                     "same_triangle": same_triangle(mine, other),
                 }

@@ -6,6 +6,8 @@ from typing import Any
 
 from benchmarking.tables import table
 
+FAULTY_NAMED = 8  # rays of which an answer is wrong
+
 
 def recorded_text(report: dict[str, Any]) -> str:
     """The report of `record_trace`."""
@@ -61,6 +63,8 @@ def compared_text(report: dict[str, Any]) -> str:
             ]
         )
     heads = ["rays", "", "count", "hit", "differ", "judged", "faults theirs", "faults ours", "same triangle"]
+    faulty = [index for each in report["results"] for index in each["faulty_rays"]]
+    named = ", ".join(f"{index:,}" for index in faulty[:FAULTY_NAMED])
     return "\n".join(
         [
             f"{report['file']}: hits of {report['hits_of']}, beside those of {report['tracer']} on {report['scene']}",
@@ -68,5 +72,6 @@ def compared_text(report: dict[str, Any]) -> str:
             table(heads, rows),
             "Where hits differ by more than float32 rounds, every triangle was asked in float64: for all such rays, or "
             "for as many as there is time for, evenly among them.",
+            *([f"The first of their faults are of the rays {named} of the file; --json has more."] if faulty else []),
         ]
     )

@@ -203,8 +203,11 @@ def test_hits_of_another_tracer_are_judged(folder, tmp_path, capfd):
     assert report["hits_of"] == "theirs" and report["own_faults"] == 0
     primary, *others = report["results"]
     assert primary["theirs"] == {"disagreements": 2, "judged": 2, "faults": 2} and primary["ours"]["faults"] == 0
+    assert primary["faulty_rays"] == where[:2].tolist()
     assert 1 - 3 / len(where) < primary["same_triangle"] < 1
     assert all(each["theirs"]["disagreements"] == 0 for each in others)
+    assert run("compare-hits", trace, "--scene", scene, "--hits", mine, "--device", "cpu") == 0
+    assert f"their faults are of the rays {where[0]:,}, {where[1]:,} of the file" in capfd.readouterr().out
     hits["instance"][where[3]] = 10_000
     assert run("compare-hits", trace, "--scene", scene, "--hits", save(tmp_path / "far.npz"), "--device", "cpu") == 1
     assert_one_error(capfd, "array instance names no instance of mixed.scene.npz")
