@@ -12,9 +12,11 @@ from raybatch_addon.core.programs.ops.textures.image import Projection
 from raybatch_addon.core.scene.description import Closure, ClosureKind, Frame, Image, ImageEncoding, Material, Mesh
 from raybatch_addon.core.scene.features import derive_features
 from raybatch_addon.core.settings.settings import RenderSettings
+from raybatch_addon.core.shading.images.levels import level_sizes
 from raybatch_addon.core.shading.images.textures import Extension, Interpolation
 from raybatch_addon.core.wavefront.rays import bytes_per_path, needed_arrays
 from tests.support import scenes
+from tests.support.images import textured_scenes
 from tests.support.running.shares import each_of
 
 pytestmark = pytest.mark.usefixtures("general_kernels_of_module")  # of what is not filtered
@@ -25,7 +27,7 @@ SQUARES = np.where((np.arange(64)[:, None] // 32 + np.arange(64) // 32) % 2, 235
 
 def textured(kind="diffuse") -> Material:
     builder = ProgramBuilder()
-    place = (0, Interpolation.LINEAR, Extension.REPEAT, Projection.FLAT, 0)
+    place = (len(textured_scenes.images()), Interpolation.LINEAR, Extension.REPEAT, Projection.FLAT, 0)
     color, _ = builder.value("image", *place, builder.value("uv", -1, 0))
     builder.closure(kind, color, *([(0.0, 0.0, 0.0)] if kind == "diffuse" else []))
     kinds = (ClosureKind.DIFFUSE if kind == "diffuse" else ClosureKind.EMISSION,)
@@ -39,26 +41,37 @@ def floor(repeats, size=12.0) -> Mesh:
 
 
 def room(repeats=40, kind="diffuse"):
-    """A textured floor below a mirror ball and a glossy one; the floor shows a square many times."""
+    """A textured floor below a mirror ball and a glossy one; the floor shows a square many times.
+
+    Materials and images of a textured room come with it, so that its kernels are those of tests of images in tiles.
+    """
+    unseen = textured_scenes.room()
     mirror = scenes.material(Closure(ClosureKind.METAL, (0.9,) * 3, roughness=0.0), name="mirror")
     gloss = scenes.material(Closure(ClosureKind.METAL, (0.9,) * 3, roughness=0.4), name="gloss")
-    ball = scenes.sphere("ball", 16, 8, smooth=True)
+    balls = [scenes.sphere(name, 16, 8, smooth=True) for name in ("mirror", "gloss")]
     scene = scenes.scene(
         [
             (floor(repeats), scenes.translation(0, 0, -1), textured(kind)),
-            (ball, scenes.translation(-1.1, 0, 0), mirror),
-            (ball, scenes.translation(1.1, 0, 0), gloss),
+            (balls[0], scenes.translation(-1.1, 0, 0), mirror),
+            (balls[1], scenes.translation(1.1, 0, 0), gloss),
         ],
         view=scenes.camera(eye=(0.3, -5, 1.6), half_width=0.55),
         frame=Frame(24, 20),
         lights=[scenes.sun(2.0, 0.1)],
         world=(0.1, 0.15, 0.25),
     )
-    return dataclasses.replace(scene, images=(Image("squares", SQUARES, ImageEncoding.LINEAR),))
+    images = (*unseen.images, Image("squares", SQUARES, ImageEncoding.LINEAR))
+    return dataclasses.replace(scene, materials=scene.materials + unseen.materials, images=images)
 
 
 def picture_of(film):
     return film.passes["Combined"][..., :3].astype(float)
+
+
+def bytes_of_levels(image: Image) -> int:
+    pictures = [image.pixels] if image.tiles is None else [pixels for _, pixels in image.tiles]
+    sizes = [(each, level_sizes(each.shape[1], each.shape[0])) for each in pictures]
+    return sum(width * height * each[0, 0].nbytes for each, levels in sizes for width, height in levels)
 
 
 @pytest.fixture(scope="module")
@@ -68,8 +81,9 @@ def filtered(session):
 
 def test_statistics_report_levels_and_look_ups(session, filtered):
     reported = filtered.statistics["images"]
-    assert (reported["filtered_look_ups"], reported["other_look_ups"]) == (1, 0)
-    assert reported["level_bytes"] == sum(4**k for k in range(6))
+    # each material but the metals filters its own; what is distorted looks up two more by what an image says
+    assert (reported["filtered_look_ups"], reported["other_look_ups"]) == (1 + 5, 2)
+    assert reported["level_bytes"] == sum(4**k for k in range(6)) + sum(map(bytes_of_levels, textured_scenes.images()))
     assert filtered.statistics["invalid_samples"] == 0
     plain = session.render(room(), OFF).statistics
     assert plain["images"].keys() == {"count", "bytes"} and "levels of images" in plain["left_out"]
@@ -125,7 +139,7 @@ def test_far_squares_have_their_mean_brightness_and_no_noise(session):
 
 def test_an_image_that_is_seen_large_is_the_same_to_the_bit(session):
     near = room(0.05)  # a texel is many pixels wide
-    one = OFF.replace(bounce_max=0)
+    one = OFF.replace(bounce_max=0, roulette_bounce=0)  # the kernels are those of all others here
     off, on = (
         session.render(near, each) for each in (one, one.replace(texture_filter="FOOTPRINT", texture_filter_width=1.0))
     )

@@ -17,17 +17,40 @@ _REGISTERS = 48
 
 
 @functools.cache
-def _kernel(name: str):
-    function = op_named(name).function
+def _one_of(names: tuple[str, ...]) -> wp.Function:
+    """Function (index, data, stack, pc, point): the op of this index among `names`."""
+    last, index = op_named(names[-1]).function, len(names) - 1
+    if index == 0:
+
+        @wp.func
+        def run_only(which: int, data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
+            last(data, stack, pc, point)
+
+        return run_only
+    before = _one_of(names[:-1])
+
+    @wp.func
+    def run_one(which: int, data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
+        if which == index:
+            last(data, stack, pc, point)
+        else:
+            before(which, data, stack, pc, point)
+
+    return run_one
+
+
+@functools.cache
+def _kernel(names: tuple[str, ...]):
+    function = _one_of(names)
     registers = _REGISTERS
 
     @wp.kernel(**KERNEL_OPTIONS)
-    def run(data: NodeData, values: wp.array2d(dtype=float), out: wp.array2d(dtype=float)):
+    def run(which: int, data: NodeData, values: wp.array2d(dtype=float), out: wp.array2d(dtype=float)):
         i = wp.tid()
         stack = wp.zeros(registers, dtype=float)
         for k in range(values.shape[1]):
             stack[k] = values[i, k]
-        function(data, stack, 0, ShadingPoint())
+        function(which, data, stack, 0, ShadingPoint())
         for k in range(out.shape[1]):
             out[i, k] = stack[values.shape[1] + k]
 
@@ -35,12 +58,12 @@ def _kernel(name: str):
 
 
 def run_op(
-    name: str, immediates: Sequence[int], operands: Sequence, skip: str = "", device=DEVICE
+    name: str, immediates: Sequence[int], operands: Sequence, skip: str = "", device=DEVICE, among: Sequence[str] = ()
 ) -> tuple[np.ndarray, ...]:
     """Outputs of the op, float32: [n] for a number, [n, 3] for a vector.
 
     Outputs whose letters are in `skip` are not wanted, and 0. `operands` are the `n` and `v` words in order: arrays
-    [n], [n, 3], or values that broadcast to such.
+    [n], [n, 3], or values that broadcast to such. `among`: ops that one kernel is compiled for, this one with them.
     """
     signature = op_named(name).signature
     letters = [letter for letter in signature if letter in "nv"]
@@ -63,7 +86,9 @@ def run_op(
     data = NodeData()
     data.code = wp.array(words, dtype=int, device=device)
     out = wp.zeros((count, max(at - values.shape[1], 1)), dtype=float, device=device)
-    wp.launch(_kernel(name), count, [data, wp.array(values, dtype=float, device=device), out], device=device)
+    names = tuple(among) or (name,)
+    inputs = [names.index(name), data, wp.array(values, dtype=float, device=device), out]
+    wp.launch(_kernel(names), count, inputs, device=device)
     found, results, k = out.numpy(), [], 0
     for letter in signature:
         if letter in "NV":

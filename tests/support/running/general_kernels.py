@@ -20,6 +20,7 @@ from raybatch_addon.core.device.devices import load_kernels, start_warp
 from raybatch_addon.core.scene.features import SceneFeatures
 from raybatch_addon.core.scene.program import ProgramFeatures
 from raybatch_addon.core.wavefront.tier import VARIABLE, TierChoice, choose_tier, general_features, why_not_general
+from tests.support.running.unweighed_kernels import can_be_unweighed, unweighed_features
 
 
 @contextlib.contextmanager
@@ -34,14 +35,18 @@ def by_general_kernels() -> Iterator[None]:
 def choose_general(features: SceneFeatures, setting: str, device: wp.Device) -> TierChoice:
     """The tier that `choose_tier` gives, but general kernels where there are any, and no warning where there are none.
 
-    Those of independent samples, which no user has, are compiled once for all tests.
+    Those of independent samples, which no user has, and those that weigh no light are compiled once for all tests.
     """
     if setting != "AUTO":
         return choose_tier(features, setting, device)
     if device.is_cuda:  # whose general kernels take minutes to compile
         return choose_tier(features, "SPECIALISED", device)
-    if can_be_independent(features):
-        return TierChoice(independent_features(), True, setting, "kernels are shared with other tests")
+    for shared, can_be in (
+        (independent_features(), can_be_independent),
+        (unweighed_features(features.sample_sequence), can_be_unweighed),
+    ):
+        if can_be(features):
+            return TierChoice(shared, True, setting, "kernels are shared with other tests")
     return choose_tier(features, "SPECIALISED" if why_not_general(features, device) else "GENERAL", device)
 
 

@@ -91,8 +91,9 @@ def test_voronoi(cycles, dimensions, feature, metric, place):
         {"W": points[:, 3]} if dimensions in (1, 4) else {}
     )
     operands = [points[:, :3], points[:, 3], *(numbers[name] if name in used else 0.0 for name in RANGES)]
+    among = [op_name(dimensions, each) for each in FEATURES]
     for normalize in (False, True):
-        found = run_op(op_name(dimensions, feature), [METRICS[metric], normalize], operands)
+        found = run_op(op_name(dimensions, feature), [METRICS[metric], normalize], operands, among=among)
         for name, index in outputs_in_use(feature, dimensions).items():
             expected = cycles.values(
                 "ShaderNodeTexVoronoi",

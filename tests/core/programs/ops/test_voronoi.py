@@ -5,24 +5,15 @@ import itertools
 
 import numpy as np
 import pytest
-import warp as wp
 
-from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.programs.ops.textures.voronoi.cells import CHEBYCHEV, EUCLIDEAN, MANHATTAN, MINKOWSKI
-from raybatch_addon.core.programs.ops.textures.voronoi.features import (
-    FEATURES,
-    VoronoiSample,
-    VoronoiSettings,
-    make_distance_to_edge,
-    make_n_sphere_radius,
-    make_voronoi,
-)
+from raybatch_addon.core.programs.ops.textures.voronoi.features import FEATURES
 from raybatch_addon.core.programs.ops.textures.voronoi.ops import op_name
-from tests.support.under_test import DEVICE
+from tests.core.programs.op_probe import run_op
 from tests.twins.hash_reference import jenkins, pcg
 
 DIMENSIONS = (1, 2, 3, 4)
-DEFAULTS = {
+DEFAULTS = {  # in the order of the op's words
     "metric": EUCLIDEAN,
     "normalize": 0,
     "scale": 1.0,
@@ -35,40 +26,22 @@ DEFAULTS = {
 }
 
 
-@functools.cache
-def kernel(dimensions, feature):
-    if feature in ("distance_to_edge", "n_sphere_radius"):
-        number = (make_distance_to_edge if feature == "distance_to_edge" else make_n_sphere_radius)(dimensions)
-
-        @wp.kernel(**KERNEL_OPTIONS)
-        def probe(settings: VoronoiSettings, points: wp.array(dtype=wp.vec4), out: wp.array(dtype=VoronoiSample)):
-            i = wp.tid()
-            p = points[i]
-            result = VoronoiSample()
-            result.distance = number(settings, wp.vec3(p[0], p[1], p[2]), p[3])
-            out[i] = result
-
-        return probe
-
-    sample = make_voronoi(dimensions, feature)
-
-    @wp.kernel(**KERNEL_OPTIONS)
-    def probe(settings: VoronoiSettings, points: wp.array(dtype=wp.vec4), out: wp.array(dtype=VoronoiSample)):
-        i = wp.tid()
-        p = points[i]
-        out[i] = sample(settings, wp.vec3(p[0], p[1], p[2]), p[3])
-
-    return probe
+SAMPLE = np.dtype([("distance", np.float32), ("color", np.float32, 3), ("position", np.float32, 4)])
 
 
 def evaluate(dimensions, feature, points, **values):
-    settings = VoronoiSettings()
-    for name, value in {**DEFAULTS, **values}.items():
-        setattr(settings, name, value)
-    out = wp.zeros(len(points), dtype=VoronoiSample, device=DEVICE)
-    grid_points = wp.array(np.asarray(points, np.float32), dtype=wp.vec4, device=DEVICE)
-    wp.launch(kernel(dimensions, feature), len(points), [settings, grid_points, out], device=DEVICE)
-    return out.numpy()
+    """Samples at `points` [n, 4], by the op, as one structured array; edges and radii are distances alone."""
+    settings = {**DEFAULTS, **values}
+    metric, normalize = settings.pop("metric"), settings.pop("normalize")
+    points = np.asarray(points, np.float32)
+    among = [op_name(dimensions, each) for each in FEATURES]
+    operands = [points[:, :3], points[:, 3], *settings.values()]
+    found = run_op(op_name(dimensions, feature), [metric, normalize], operands, among=among)
+    out = np.zeros(len(points), SAMPLE)
+    out["distance"] = found[0]
+    if len(found) > 1:
+        out["color"], out["position"][:, :3], out["position"][:, 3] = found[1:]
+    return out
 
 
 def grid_points(count, seed=3):
