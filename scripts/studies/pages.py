@@ -61,7 +61,10 @@ def machine(report: Report) -> str:
     name = device.get("name") or device["alias"]
     kind = f"CUDA: {name}" if report["device_kind"] == "cuda" else f"CPU, {device['cores']} threads"
     quick = "; the quick study" if report["quick"] else ""
-    return f"{kind}; RayBatch {versions.get('raybatch')}, Warp {versions.get('warp')}; {turns_of(report)}{quick}."
+    codes = sorted({row["core"] for row in report["rows"] if "core" in row})
+    code = f" (core {', '.join(codes)})" if codes else ""
+    engine = f"RayBatch {versions.get('raybatch')}{code}, Warp {versions.get('warp')}"
+    return f"{kind}; {engine}; {turns_of(report)}{quick}."
 
 
 def turns_of(report: Report) -> str:

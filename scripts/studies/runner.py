@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarking.progress import Steps
+from converging.reference import core_digest
 from lib.command import UsageError
 
 from raybatch_addon.blender.kernel_cache import kernel_cache_folder
@@ -23,6 +24,7 @@ from studies.scenes import FILES, find_all
 from studies.study import Case, Options, Report, Study, groups_of, part_of
 
 DATA = "data"  # folder beside the pages
+CORE_LETTERS = 8  # of the digest of the engine's code that a row was measured with
 
 
 def device_of(name: str) -> dict[str, Any]:
@@ -112,7 +114,7 @@ def measure(
                 raise
             except RayBatchError as error:
                 row = refused(error)
-            file.add({"case": case.key, "turn": turn, **row, **case.what})
+            file.add({"case": case.key, "turn": turn, **row, **case.what, "core": core_digest()[:CORE_LETTERS]})
             steps.end()
     finally:
         steps.close()

@@ -224,6 +224,7 @@ def test_turns_are_interleaved_and_a_study_cut_short_goes_on(tmp_path):
     report_path = runner.publish(study, [path], tmp_path)
     report = json.loads(report_path.read_text())
     assert report["study"] == "counting" and len(report["rows"]) == 6
+    assert f"(core {report['rows'][0]['core']}), Warp" in pages.machine(report), "by what code rows were measured"
     assert (
         rows.medians(report["rows"]) == {"a": 1.5, "b": 1.5, "c": 1.5}
         and rows.differing_films(report["rows"], ("device",)) == []
