@@ -128,8 +128,10 @@ class RayCollector:
             if wanted.shadow != shadow or left <= 0:
                 continue
             where = np.flatnonzero(bounce == wanted.bounce)
-            # a shadow ray to a point of a lamp that it begins at may have no length: it meets nothing
-            where = where[_gathered(rays.t_max, _indices(slots[where], rays)) > 0][:left] if len(where) else where
+            if shadow and len(where):
+                # one to a point of the lamp that it begins at may have no length: it meets nothing
+                where = where[_gathered(rays.t_max, _indices(slots[where], rays)) > 0]
+            where = where[:left]
             chosen = slots[where]
             if len(chosen):
                 indices = _indices(chosen, rays)

@@ -11,7 +11,7 @@ from typing import Any
 from lib.command import UsageError
 from lib.output import write_text
 
-from studies.study import Report
+from studies.study import Report, Row
 
 
 def table(heads: Sequence[Any], rows: Sequence[Sequence[Any]]) -> str:
@@ -79,6 +79,14 @@ def turns_of(report: Report) -> str:
 def device_title(report: Report) -> str:
     """Short, for heads and legends."""
     return {"cuda": "GPU", "cpu": "CPU"}[report["device_kind"]]
+
+
+def hits_line(rows: Sequence[Row]) -> str:
+    """What the comparison of hits bit by bit came to: `wrong` of a row says how many rays met something else."""
+    wrong = sorted({row["case"] for row in rows if row.get("wrong")})
+    if wrong:
+        return f"**Hits differ**, which must not be: {', '.join(wrong[:8])}."
+    return "All found the same hits, bit for bit."
 
 
 def films_line(wrong: Sequence[str], count: int) -> str:

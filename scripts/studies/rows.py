@@ -131,23 +131,24 @@ def read_report(path: Path) -> Report:
 
 def medians(rows: Sequence[Row], figure: str = "seconds") -> dict[str, float]:
     """Median of a figure over turns by case; rows without it are left out."""
+    return {case: statistics.median(values) for case, values in by_case(rows, figure).items()}
+
+
+def by_case(rows: Sequence[Row], figure: str = "seconds") -> dict[str, list[float]]:
+    """A figure of all turns by case; rows without it are left out."""
     found: dict[str, list[float]] = {}
     for row in rows:
         if row.get(figure) is not None:
             found.setdefault(row["case"], []).append(row[figure])
-    return {case: statistics.median(values) for case, values in found.items()}
+    return found
 
 
 def spread(rows: Sequence[Row]) -> tuple[float, float]:
     """Half the distance between the quartiles of a case over its median: of all cases the median, and of one in ten
     more than the second.
     """
-    by_case: dict[str, list[float]] = {}
-    for row in rows:
-        if row.get("seconds") is not None:
-            by_case.setdefault(row["case"], []).append(row["seconds"])
     spreads = [0.0]
-    for each in by_case.values():
+    for each in by_case(rows).values():
         if len(each) > 1:  # of two the quartiles are taken to be both
             low, high = min(each), max(each)
             if len(each) > 2:

@@ -7,11 +7,11 @@ import statistics
 from collections.abc import Sequence
 from pathlib import Path
 
-from studies.pages import machine, table
+from studies.pages import hits_line, machine, table
 from studies.rays.captured import KINDS, SCENES
 from studies.rows import spread
 from studies.schedulers.cases import DEFAULT, PAGED, SCHEDULERS, SIZES, UNBATCHED, Schedule
-from studies.study import Report, Row
+from studies.study import Report
 
 Key = tuple[str, str, str, str]  # scene, place, kind, schedule
 TABLES: tuple[tuple[str, str, Sequence[Schedule]], ...] = (
@@ -46,7 +46,7 @@ def fragment(reports: dict[str, Report]) -> str:
         parts += [
             machine(report)
             + f" Half the distance of the quartiles is {usual:.1%} of the median, in a tenth of the cases more than "
-            f"{much:.1%}. {_hits_line(report['rows'])}"
+            f"{much:.1%}. {hits_line(report['rows'])}"
         ]
         for title, place, schedules in TABLES:
             for base in (UNBATCHED, DEFAULT):
@@ -70,13 +70,6 @@ def _lines(found: dict[Key, float], place: str, schedules: Sequence[Schedule], b
             mean = math.exp(statistics.mean(map(math.log, there)))
             lines.append([schedule.name, *(f"{each:.2f}" if each else "" for each in ratios), f"{mean:.2f}"])
     return lines
-
-
-def _hits_line(rows: list[Row]) -> str:
-    wrong = sorted({row["case"] for row in rows if row.get("wrong")})
-    if wrong:
-        return f"**Hits differ**, which must not be: {', '.join(wrong[:8])}."
-    return "All schedules found the same hits, bit for bit."
 
 
 def draw(reports: dict[str, Report], folder: Path) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from studies.pages import device_title, films_line, machine, table
-from studies.rows import differing_films, ratios_in_turns
+from studies.rows import by_case, differing_films, ratios_in_turns
 from studies.streaming.cases import BATCHINGS, SCENES, SCHEDULES
 from studies.study import Report, Row
 
@@ -25,11 +25,8 @@ def over_wavefront(rows: Sequence[Row], scene: str, batching: str, base: str) ->
 
 def range_over_median(rows: Sequence[Row]) -> float:
     """The greatest distance between two turns of a case over its median, of all cases."""
-    seconds: dict[str, list[float]] = {}
-    for row in rows:
-        if row.get("seconds"):
-            seconds.setdefault(row["case"], []).append(row["seconds"])
-    return max(((max(each) - min(each)) / statistics.median(each) for each in seconds.values()), default=0.0)
+    seconds = by_case(rows).values()
+    return max(((max(each) - min(each)) / statistics.median(each) for each in seconds), default=0.0)
 
 
 def fragment(reports: dict[str, Report]) -> str:

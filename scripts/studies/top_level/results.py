@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from studies.pages import machine, number, table
+from studies.pages import hits_line, machine, number, table
 from studies.rows import medians, ratios_in_turns
 from studies.study import Report, Row
 from studies.top_level import rates
@@ -49,12 +49,8 @@ def rates_of(report: Report) -> str:
                 if naive in seconds:
                     over = [_extent(ratios_in_turns(rows, each, naive)) for each in others]
                     lines.append([f"{scene}, {selection}", kind, number(rays[naive] / seconds[naive] / 1e6), *over])
-    wrong = sorted({row["case"] for row in rows if row.get("wrong")})
-    hits = f"**Hits differ**, which must not be: {', '.join(wrong)}." if wrong else "All found the same hits."
-    said = (
-        f"{machine(report)} Rates over those of {WAYS[0]} in the same turn, in brackets the least and the most. {hits}"
-    )
-    return f"{said}\n\n{table(['scene, selection', 'rays', f'{WAYS[0]}, Mrays/s', *WAYS[1:]], lines)}"
+    said = f"{machine(report)} Rates over those of {WAYS[0]} in the same turn, in brackets the least and the most."
+    return f"{said} {hits_line(rows)}\n\n{table(['scene, selection', 'rays', f'{WAYS[0]}, Mrays/s', *WAYS[1:]], lines)}"
 
 
 def _extent(ratios: Sequence[float]) -> str:

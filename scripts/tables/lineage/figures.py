@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from statistics import median
 from typing import Any
 
-from studies.rows import ratios_in_turns
+from studies.rows import medians, ratios_in_turns
 
 from tables.experiment_data import FOLDER, cases, load
 from tables.rivals_table import CONTROL, kind_of, ratios
@@ -99,10 +99,10 @@ def schedule_beyond(name: str, device: str) -> str:
 
 
 def _schedule_rates(name: str, device: str, place: str, kind: str) -> list[float]:
-    seconds = _medians(f"schedulers-{device}.json", ("place", "kind", "schedule", "scene"))
-    scenes = {key[3] for key in seconds if key[:3] == (place, kind, name)}
-    measured = [scene for scene in scenes if (place, kind, "unbatched", scene) in seconds]
-    return [seconds[place, kind, "unbatched", scene] / seconds[place, kind, name, scene] for scene in measured]
+    rows = _rows(f"schedulers-{device}.json")
+    seconds, groups = medians(rows), {f"{row['scene']} {place} {kind}" for row in rows}
+    found = [(seconds.get(f"{group} unbatched"), seconds.get(f"{group} {name}")) for group in groups]
+    return [base / mine for base, mine in found if base and mine]
 
 
 def top_level_nodes(way: str) -> str:
@@ -138,15 +138,6 @@ def streaming(device: str) -> str:
         return extent(median(each) for each in found if each)
 
     return f"whole renders, batching OFF {rates('OFF')}, ON {rates('ON')}"
-
-
-def _medians(name: str, by: tuple[str, ...]) -> dict[tuple[str, ...], float]:
-    """Median seconds of the rows that were measured, by the values of `by`."""
-    found: dict[tuple[str, ...], list[float]] = {}
-    for row in _rows(name):
-        if row.get("seconds"):
-            found.setdefault(tuple(row[each] for each in by), []).append(row["seconds"])
-    return {key: median(values) for key, values in found.items()}
 
 
 def _rows(name: str) -> list[dict[str, Any]]:

@@ -141,9 +141,9 @@ def test_one_kernel_gives_the_film_of_those_for_each_stage(monkeypatch):
 @ON_CPU
 @pytest.mark.parametrize("name", thorough_but(SCENES_ALWAYS, SCENES))
 def test_specialised_kernels_take_over_in_the_middle(name, monkeypatch):
-    scene, settings = SCENES[name](), SETTINGS
-    features = derive_features(scene, settings)
-    expected = Session(DEVICE).render(scene, settings.replace(kernel_tier="SPECIALISED"))
+    scene = SCENES[name]()
+    features = derive_features(scene, SETTINGS)
+    expected = Session(DEVICE).render(scene, SETTINGS.replace(kernel_tier="SPECIALISED"))
     turns, finish = [], TileIntegrator._finish_paths
 
     def finish_and_change(self, *arguments):
@@ -153,7 +153,7 @@ def test_specialised_kernels_take_over_in_the_middle(name, monkeypatch):
         return finish(self, *arguments)
 
     monkeypatch.setattr(TileIntegrator, "_finish_paths", finish_and_change)
-    film = Session(DEVICE).render(scene, settings.replace(kernel_tier="GENERAL", thread_count=1))
+    film = Session(DEVICE).render(scene, SETTINGS.replace(kernel_tier="GENERAL", thread_count=1))
     assert_same(film, expected)
     assert turns[2] != turns[3] == StageKernels.choose(features, wp.get_device(DEVICE))
 
