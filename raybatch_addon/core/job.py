@@ -32,7 +32,7 @@ from .wavefront.render.events import SnapshotWatcher
 from .wavefront.render.rendering import Rendering
 from .wavefront.render.resume import ResumeState
 from .wavefront.render.rounds import RoundPolicy
-from .wavefront.render.steps import TileSteps
+from .wavefront.render.steps import TileParts, TileSteps
 from .wavefront.render.summary import (
     batching_totals,
     device_shares,
@@ -184,6 +184,14 @@ class Job:
         settings, paged = self.settings, self.plan.method is Method.PAGED
         wanted = settings.tile_order == "PROGRESSIVE" and settings.sample_order == "FRAME_FIRST" and not paged
         return TileSteps() if wanted else None
+
+    def tile_parts(self, devices: Sequence[wp.Device]) -> TileParts | None:
+        """Where several CUDA `devices` are to come to the end together; None: tiles are not rendered in parts. What is
+        brought in, as pages of geometry are, serves all samples at once.
+        """
+        several = len(devices) > 1 and all(each.is_cuda for each in devices)
+        brings_in = self.plan.method is Method.PAGED or bool(self.features.fetch_program)
+        return TileParts() if several and not brings_in and self.settings.sample_order == "FRAME_FIRST" else None
 
     @property
     def kernels(self) -> dict[str, Any]:

@@ -320,8 +320,7 @@ class Session:
             found = place.scene.warnings + (place.job.warnings if place.job is not job else [])
             job.warnings += [each for each in found if each not in job.warnings]
         integrators = [each for place in places for each in place.integrators]
-        counting = places[0].scene.tracing.counters(job.settings, job.features.passes)
-        if counting:
+        if counting := places[0].scene.tracing.counters(job.settings, job.features.passes):
             job.warnings += counting.warnings()
         if any(each.is_counting for each in integrators):
             with hardware_counters(self.device.is_cuda) as counters:
@@ -370,7 +369,8 @@ class Session:
             watchers=job.watchers,
             keeper=job.checkpoint,
         )
-        job.rendering = Rendering(integrators, state, film, events, job.parts.started, job.steps)
+        parts = job.tile_parts([each.at.device for each in places])
+        job.rendering = Rendering(integrators, state, film, events, job.parts.started, job.steps, parts=parts)
         changes = self._changes(job, places, lambda: seconds_left)
         try:
             job.rendering.run()

@@ -1,7 +1,10 @@
-"""Launches of kernels that are made again and again: most of their arguments stay."""
+"""Launches of kernels that are made again and again: most of their arguments stay; and whose turn it is to launch."""
 
 from __future__ import annotations
 
+import contextlib
+import threading
+from collections.abc import Iterator
 from typing import Any
 
 import warp as wp
@@ -35,6 +38,49 @@ class RepeatedLaunches:
         else:
             kept.change(count, inputs)
         kept.command.launch()
+
+
+class LaunchTurns:
+    """Workers of one CUDA device, each on its own thread, launch in turns: `with turns: ...`.
+
+    All launches of a device go to one stream. What a worker launches in its turn lies there side by side, so that times
+    between its events are its own, and memory that the device has once for all is used by one at a time. While it waits
+    for the device, as in `with turns.left(): ...`, another one launches: the device has work meanwhile, whatever the
+    host does.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+
+    def __enter__(self) -> None:
+        self._lock.acquire()
+
+    def __exit__(self, *_: object) -> None:
+        self._lock.release()
+
+    @contextlib.contextmanager
+    def left(self) -> Iterator[None]:
+        """It is the turn of others meanwhile."""
+        self._lock.release()
+        try:
+            yield
+        finally:
+            self._lock.acquire()
+
+
+class NoTurns(LaunchTurns):
+    """Whoever wants to launches: there is one worker, or they share nothing."""
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    @contextlib.contextmanager
+    def left(self) -> Iterator[None]:
+        """As it is."""
+        yield
 
 
 class _Kept:

@@ -10,7 +10,7 @@ from typing import Any
 
 import warp as wp
 
-from ..device.launches import RepeatedLaunches
+from ..device.launches import LaunchTurns, NoTurns, RepeatedLaunches
 from ..film import layout_of
 from ..film.mattes import Mattes
 from ..film.tile import FIRST_SAMPLE_ARRAYS, FilmTile, FilmTiles, FinishedTile
@@ -48,9 +48,18 @@ class TileIntegrator:
     traces_lists = True  # its tracer gets lists of rays
 
     def __init__(
-        self, scene: DeviceScene, frame: Frame, settings: RenderSettings, marks: WaterMarks, tile_slots: int = 0
+        self,
+        scene: DeviceScene,
+        frame: Frame,
+        settings: RenderSettings,
+        marks: WaterMarks,
+        tile_slots: int = 0,
+        turns: LaunchTurns | None = None,
     ):
-        """`tile_slots`: for tiles of images, where these are not whole."""
+        """`tile_slots`: for tiles of images, where these are not whole; `turns`: shared with other workers of the
+        device.
+        """
+        self._turns = turns or NoTurns()
         features, device, count = scene.features, scene.device, marks.path_count
         self._scene, self._frame, self._marks, self.device = scene, frame, marks, device
         self._layout = layout_of(frame.passes, frame.transparent)
@@ -89,7 +98,7 @@ class TileIntegrator:
         self._cost: wp.array | None = None
         self._mattes = Mattes()  # of the tile, beside those in its slots
         self._filter = wp.array(filter_table(settings.pixel_filter, settings.filter_width), dtype=float, device=device)
-        self._launches = RepeatedLaunches(device)
+        self._launch = RepeatedLaunches(device).launch
         self.path_count = count  # slots: paths alive at once at most
         self.seconds_a_path = math.inf  # of the last tile; inf: there was none
         self.begin(settings)
@@ -122,26 +131,28 @@ class TileIntegrator:
         those under way are brought to their end.
         """
         work, film = self._begin_tile(state, sample_first, sample_count)
-        self._free = self._lists.all_free(self._paths.status)
+        with self._turns:
+            self._free = self._lists.all_free(self._paths.status)
         items = min(state.pixel_count * sample_count, state.items_begun + most)
         done, stopped_at, tail_from = 0, None, None
         while True:
-            self._kernels = self._wanted_kernels
             if stopped_at is None and stop():
                 stopped_at = time.perf_counter()
-            camera = NO_RAYS
-            if stopped_at is None:
-                camera = self._generate(state, work, items)
-            elif self._alive and time.perf_counter() - stopped_at >= self.patience:
-                self._give_up(state)
-            if tail_from is None and state.items_begun == items and self._alive <= TAIL_SHARE * self.path_count:
-                tail_from = time.perf_counter()
-            if self._alive == 0:
-                break
-            back = self._trace(work, film, camera, stop)
-            if self.patience > 0.0 or not stop():  # else paths are given up, whatever came back
-                self._shade(work, film, min(back, self._alive))
-                done += self._finish_paths(work, film, stopped_at is None and state.items_begun < items)
+            with self._turns:
+                self._kernels = self._wanted_kernels
+                camera = NO_RAYS
+                if stopped_at is None:
+                    camera = self._generate(state, work, items)
+                elif self._alive and time.perf_counter() - stopped_at >= self.patience:
+                    self._give_up(state)
+                if tail_from is None and state.items_begun == items and self._alive <= TAIL_SHARE * self.path_count:
+                    tail_from = time.perf_counter()
+                if self._alive == 0:
+                    break
+                back = self._trace(work, film, camera, stop)
+                if self.patience > 0.0 or not stop():  # else paths are given up, whatever came back
+                    self._shade(work, film, min(back, self._alive))
+                    done += self._finish_paths(work, film, stopped_at is None and state.items_begun < items)
         return self._end_tile(state, film, done, tail_from)
 
     def _end_tile(self, state: TileState, film: FilmTile, done: int, tail_from: float | None) -> FinishedTile:
@@ -206,18 +217,8 @@ class TileIntegrator:
         work.item_first, work.item_count = state.items_begun, count
         length = self._lists.counts.at(Length.CAMERA)
         with self._timer.stage("generate"):
-            self._launch(
-                kernel,
-                count,
-                work,
-                self._limits,
-                self._scene.camera,
-                self._paths,
-                self._rays,
-                self._free,
-                length,
-                *more,
-            )
+            state_of_paths = self._paths, self._rays, self._free, length
+            self._launch(kernel, count, work, self._limits, self._scene.camera, *state_of_paths, *more)
             if self.volumes:
                 enter, seen = self._kernels.volumes.enter, (self._scene.data.geometry, self.volumes)
                 self._launch(enter, count, *seen, self._rays, self._free, length)
@@ -321,7 +322,9 @@ class TileIntegrator:
             done = self._lists.end_turn(self._paths.status, self._alive, by_bounce, generates)
         with self._timer.stage("film"):
             self._launch_over(self._kernels.accumulate, done, work, self._paths, film)
-        lengths = self._lists.counts.fetch()
+        self._lists.counts.send()
+        with self._turns.left():
+            lengths = self._lists.counts.arrived()
         if self.textures:
             self.textures.bring()
         if lengths[Length.MATTES]:
@@ -394,6 +397,3 @@ class TileIntegrator:
     def _launch_over(self, kernel: wp.Kernel, slots: RayList, *inputs) -> None:
         if slots.bound:
             self._launch(kernel, slots.bound, *inputs, slots.slots, slots.count)
-
-    def _launch(self, kernel: wp.Kernel, count: int, *inputs) -> None:
-        self._launches.launch(kernel, count, *inputs)

@@ -133,18 +133,28 @@ class Counts:
         self._on_host = wp.zeros(size, dtype=int, device="cpu", pinned=True) if device.is_cuda else self.on_device
         self._lengths = self._on_host.numpy()  # the same memory
         self._single = [self.on_device[i : i + 1] for i in range(size)]
+        self._sent = wp.Event(device) if device.is_cuda else None
 
     def at(self, index: int) -> wp.array:
         """One count, int32, shape [1]."""
         return self._single[index]
 
+    def send(self) -> None:
+        """They go to the host behind what was launched."""
+        if self._sent:
+            wp.copy(self._on_host, self.on_device)
+            self.on_device.device.stream.record_event(self._sent)
+
+    def arrived(self) -> list[int]:
+        """All of them, as they were sent last; waits for the device."""
+        if self._sent:
+            wp.synchronize_event(self._sent)
+        return self._lengths.tolist()
+
     def fetch(self) -> list[int]:
         """All of them, once the device has done what was launched."""
-        device = self.on_device.device
-        if device.is_cuda:
-            wp.copy(self._on_host, self.on_device)
-            wp.synchronize_stream(device.stream)
-        return self._lengths.tolist()
+        self.send()
+        return self.arrived()
 
 
 @dataclass(frozen=True)

@@ -63,7 +63,9 @@ def test_the_film_is_that_of_tiles_one_after_another(session, plain, way):
 
 def test_the_whole_frame_is_shown_with_each_sample_and_is_right(session):
     scene, shown = scenes.mixed(FRAME), []
-    settings = SETTINGS.replace(**PROGRESSIVE, thread_count=1)
+    settings = SETTINGS.replace(
+        **PROGRESSIVE, thread_count=1, ray_count=1000
+    )  # one worker, so that tiles have an order
     session.render(scene, settings, on_tile=lambda tile: shown.append((box_of(tile), tile.passes)))
     boxes = [box for box, _ in shown]
     count = len(set(boxes))
@@ -136,7 +138,7 @@ def test_no_tile_gets_ahead_where_the_film_is_kept_often(session, tmp_path, monk
     """The workers stop for a copy of the film whenever they have looked `after` times whether they are to stop, since
     they began a path: within a step, or behind a few.
     """
-    settings = settings.replace(**PROGRESSIVE, thread_count=1, sample_count=12)
+    settings = settings.replace(**PROGRESSIVE, thread_count=1, ray_count=1000, sample_count=12)  # one worker
     expected = session.render(scenes.mixed(FRAME), settings)
     keeper, states, most_ahead = FrequentCheckpoint(tmp_path / "a.checkpoint"), {}, [0.0]
     render = integrator.TileIntegrator.render

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Hashable, Iterable
 from typing import Generic, TypeVar
@@ -9,15 +10,19 @@ from typing import Generic, TypeVar
 Work = TypeVar("Work")
 
 
+# A worker takes a tile at its own place unless one of another place takes so much longer, as a share of that
+NEAR_LONGEST = 0.9
+
+
 class Deal(Generic[Work]):
-    """Tiles that wait for workers, dealt in order to whoever is free. Workers have places, such as the devices whose
-    memory they share: one takes the first tile that is at its place or nowhere yet, and one of another place's where
-    none is left.
+    """Tiles that wait for workers, dealt to whoever is free: those that take longest first, equal ones in order.
+    Workers have places, such as the devices whose memory they share: one takes a tile that is at its place or nowhere
+    yet, and one of another place's where that takes longer, or none is left.
     """
 
     def __init__(self, waiting: Iterable[tuple[Work, Hashable]]):
-        """`waiting`: each with its place; None: nowhere yet."""
-        self._waiting = list(waiting)
+        """`waiting`: each with its place; None: nowhere yet. How long they take is not known."""
+        self._waiting = [(work, place, math.inf) for work, place in waiting]
         self._lock = threading.Lock()
 
     def take(self, place: Hashable) -> Work | None:
@@ -25,10 +30,13 @@ class Deal(Generic[Work]):
         with self._lock:
             if not self._waiting:
                 return None
-            at = next((i for i, (_, its) in enumerate(self._waiting) if its is None or its == place), 0)
-            return self._waiting.pop(at)[0]
+            seconds = [each for _, _, each in self._waiting]
+            near = [i for i, (_, its, _) in enumerate(self._waiting) if its is None or its == place]
+            at = max(range(len(seconds)), key=seconds.__getitem__)
+            nearest = max(near, key=seconds.__getitem__, default=at)
+            return self._waiting.pop(nearest if seconds[nearest] >= NEAR_LONGEST * seconds[at] else at)[0]
 
-    def put_back(self, work: Work, place: Hashable) -> None:
-        """It waits again behind the others, now at `place`."""
+    def put_back(self, work: Work, place: Hashable, seconds: float = math.inf) -> None:
+        """It waits again behind those that take as long, now at `place`; what is left of it takes `seconds`."""
         with self._lock:
-            self._waiting.append((work, place))
+            self._waiting.append((work, place, seconds))

@@ -24,7 +24,7 @@ from ..integrator import TileIntegrator, TileState
 from .deal import Deal
 from .events import RenderEvents, StateKeeper
 from .resume import ResumeState
-from .steps import TileSteps
+from .steps import LEFT_SHARE, TileParts, TileSteps
 from .summary import complaints, error_summary, ray_totals
 
 # How often the calling thread looks up from waiting for results, to see whether it is cancelled [s]
@@ -37,8 +37,6 @@ SHORT_SECONDS = 0.05
 DRAIN_SECONDS = 0.25
 # A cancelled render that is kept waits this long for the rays that are under way, without which it cannot go on [s]
 KEPT_PATIENCE = 5.0
-# Of its part of all paths that are left, a worker begins so much of a tile before that is shown
-LEFT_SHARE = 0.5
 
 
 class Rendering:
@@ -52,10 +50,12 @@ class Rendering:
         events: RenderEvents,
         started: float,
         steps: TileSteps | None = None,
+        *,
+        parts: TileParts | None = None,
     ):
         """`state` is brought up to date and `film` filled; `started` is when the render was asked for
         (`time.perf_counter`). With `steps` all tiles are shown after few samples, and then refined; without, each has
-        all samples of a round when it is shown.
+        all samples of a round when it is shown, or with `parts` a part of them.
         """
         self._integrators, self._state, self._film, self._events, self._started = (
             integrators,
@@ -64,7 +64,7 @@ class Rendering:
             events,
             started,
         )
-        self._steps = steps
+        self._steps, self._parts = steps, parts
         self._total, self._pixels = state.items_to_come, state.pixel_count
         self._earlier = film.sample_total  # paths that are in the film already
         self._earlier_invalid = state.invalid_samples
@@ -175,7 +175,7 @@ class Rendering:
                     with named_failures(integrator.device):
                         finish(self._render_tile(integrator, halves, is_stopped))
                     if 0 < state.items_left_of(halves) < left:  # one that was stopped waits for who resumes it
-                        todo.put_back(halves, place)
+                        todo.put_back(halves, place, self._seconds_left(halves))
             except BaseException as error:  # carried to the calling thread, and raised there
                 stop.set()
                 results.put(error)
@@ -188,7 +188,7 @@ class Rendering:
         working = len(threads)
         look()  # before there is a path: it may have been cancelled while the scene was built
         if self._is_short():
-            threads = []
+            threads, working = [], 1
             work(self._integrators[0], *self._alone(look, stop))
         for thread in threads:
             thread.start()
@@ -263,26 +263,39 @@ class Rendering:
         if done := integrator.items_done - before:
             integrator.seconds_a_path = (joined - start) / done
         tile = finished[0] if len(finished) == 1 else FinishedTile.sum_of(*finished)
-        if self._steps and begun != (now := [state.items_begun for state in halves]) and not stop():
+        watched = self._steps or self._parts
+        if watched and begun != (now := [state.items_begun for state in halves]) and not stop():
             end = time.perf_counter()
             samples = max((b - a) / max(each.pixel_count, 1) for a, b, each in zip(begun, now, halves, strict=True))
-            self._steps.note(tile.rectangle, samples, end - start, tail_seconds + end - joined)
+            if self._steps:
+                self._steps.note(tile.rectangle, samples, end - start, tail_seconds + end - joined)
+            elif self._parts:
+                self._parts.note(tile.rectangle, samples, end - start)
         return tile
+
+    def _seconds_left(self, halves: Sequence[TileState]) -> float:
+        """What is left of a tile's round takes; inf where that is not known, or does not matter."""
+        if not self._parts:
+            return math.inf
+        left = max(self._state.items_left(state) / max(state.pixel_count, 1) for state in halves)
+        return self._parts.seconds(_rectangle(halves), left)
 
     def _step_end(self, integrator: TileIntegrator, halves: Sequence[TileState]) -> int:
         """Samples of the round that each half of a tile has when it is shown: the same for all, wherever a stop left
         them. Tiles of images come to a GPU anew in each step, so all but the first have as many paths as wait together.
         """
-        tile = halves[0].tile
+        rectangle = _rectangle(halves)
         last = max(self._state.samples_of(state).sample_count for state in halves)
-        if not self._steps:
+        if not (self._steps or self._parts):
             return last
         begun = min(state.items_begun // max(state.pixel_count, 1) for state in halves)
         pixels, left = max(sum(state.pixel_count for state in halves), 1), last - begun
         share = LEFT_SHARE / len(self._integrators) * self._state.items_open / pixels
+        if not self._steps:
+            return begun + self._parts.samples(rectangle, left, pixels, share)
         waits = begun > 0 and integrator.textures is not None and integrator.device.is_cuda
         together = integrator.path_count // pixels if waits else 0
-        samples = self._steps.samples((tile.x, tile.y, tile.width, tile.height), left, share)
+        samples = self._steps.samples(rectangle, left, share)
         return begun + max(samples, min(together, left))
 
     def _hand_out(self, tile: FinishedTile) -> None:
@@ -347,6 +360,12 @@ class Rendering:
                     },
                 )
             )
+
+
+def _rectangle(halves: Sequence[TileState]) -> tuple[int, int, int, int]:
+    """As tiles have it that are finished."""
+    tile = halves[0].tile
+    return tile.x, tile.y, tile.width, tile.height
 
 
 def _colors(film: Film) -> np.ndarray:

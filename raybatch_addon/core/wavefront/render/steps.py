@@ -1,4 +1,5 @@
-"""How far tiles go before they are shown, where the whole frame is to be seen early. Pure policy, without a device.
+"""How far tiles go before they are shown, where the whole frame is to be seen early, or where several devices are to
+come to the end together. Pure policy, without a device.
 
 A tile stops at a sample that all of its pixels have, so its picture is as good as any of that many samples. To stop it
 must let its last paths come home, which keeps a worker busy with little work, and the picture must be made and shown.
@@ -18,8 +19,45 @@ STEP_SECONDS = 1.0
 GROWTH_MOST = 8
 # The last step of a tile may be so many times as long: a rest would not pay
 LAST_LONGER = 1.5
+# Of its part of all paths that are left, a worker begins so much of a tile before that is shown
+LEFT_SHARE = 0.5
+# Where tiles are rendered in parts, a worker begins so many paths at least: to bring them to their end costs little
+# beside it
+PART_LEAST = 1 << 23
+# And of a tile of which nothing is known so much, after which it is known how long the rest takes
+FIRST_PART = 0.25
 # Towards the end steps are shorter, so that workers come to it together, unless stopping and showing took so much of it
 END_COST_SHARE = 0.1
+
+
+class TileParts:
+    """The parts of all tiles of a render that workers of several devices share, so that they come to its end together.
+
+    A worker takes a share of what is left at most, so that the last parts are short (guided self-scheduling:
+    Polychronopoulos and Kuck 1987). One tile is rendered by one worker at a time, so those that take long are to begin
+    early (longest processing time first: Graham 1969): a first part says how long the rest takes.
+    """
+
+    def __init__(self) -> None:
+        self._seconds_a_sample: dict[Hashable, float] = {}  # of a tile's last part
+
+    def samples(self, tile: Hashable, left: int, pixels: int, share: float) -> int:
+        """Samples of the next part of `tile`, of whose `pixels` each has `left` to come. `share` is what a worker
+        should take of all that is left at most, as samples of this tile.
+        """
+        if tile not in self._seconds_a_sample:
+            share = min(share, FIRST_PART * left)
+        samples = math.ceil(max(share, PART_LEAST / pixels))
+        return left if left <= LAST_LONGER * samples else samples
+
+    def note(self, tile: Hashable, samples: float, seconds: float) -> None:
+        """A part of `samples` samples took `seconds`."""
+        if samples > 0:
+            self._seconds_a_sample[tile] = seconds / samples
+
+    def seconds(self, tile: Hashable, samples: float) -> float:
+        """What so many more samples of `tile` take; inf where nothing is known of it."""
+        return self._seconds_a_sample.get(tile, math.inf) * samples
 
 
 class TileSteps:

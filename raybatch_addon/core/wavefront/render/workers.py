@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from ...device.devices import free_memory, worker_count
+from ...device.launches import LaunchTurns
 from ...errors import OutOfMemoryError
 from ...film import layout_of
 from ...film.sums import WINDOW_DIGITS
@@ -19,7 +20,17 @@ from ..plan.plan import Choice, Method
 from ..rays import bytes_per_path
 from ..scene.device_scene import DeviceScene
 from ..scene.kept_scene import KeptScene, settings_but_seeds
-from ..scheduler import paths_a_worker, reduced_path_count, serves_many, water_marks
+from ..scheduler import (
+    CUDA_RAYS,
+    CUDA_RAYS_MOST,
+    CUDA_WORKERS,
+    ROOM_SHARE,
+    paths_a_worker,
+    paths_that_fit,
+    reduced_path_count,
+    serves_many,
+    water_marks,
+)
 from ..textures.pool import tile_slots_of
 from ..tier import array_features
 from ..tracers.buckets.tracer import selection_of
@@ -82,6 +93,24 @@ class WorkersFor:
             self._kept.keep_workers(scene, self._key, made)
 
 
+@dataclass(frozen=True)
+class _Room:
+    """How many workers there are, and how many paths each has."""
+
+    workers: int
+    asked: int  # paths of each, were there memory for them
+    paths: int  # 0: not even one fits
+    path_bytes: int
+    other_bytes: int  # of what each has beside its paths
+    budget: int  # for the paths of each [bytes]
+    slots: int  # of tiles of images
+
+    @property
+    def is_short(self) -> bool:
+        """Whether there is not enough memory for what keeps a CUDA device busy."""
+        return self.paths < min(self.asked, CUDA_RAYS)
+
+
 def make_workers(
     scene: DeviceScene, frame: Frame, settings: RenderSettings, areas: Sequence[int], sample_count: int
 ) -> Workers:
@@ -89,69 +118,113 @@ def make_workers(
     made = Workers()
     if not areas:
         return made
-    device, paged = scene.device, scene.tracing.method is Method.PAGED
-    workers = min(worker_count(device, settings.thread_count), len(areas))
-    if settings.ray_count:
-        workers = min(workers, settings.ray_count)
-    in_tiles = scene.fetches is not None and scene.images.tiled is not None
-    many = serves_many(paged, in_tiles, device.is_cuda)
-    # no tile needs more paths than it has samples
-    unfiltered = in_tiles and not paged and not scene.features.texture_levels
-    asked = min(paths_a_worker(settings, workers, device.is_cuda, many, unfiltered), max(areas) * sample_count)
-    made.path_bytes = each = path_bytes(scene, frame, settings, asked)
-    layout, slots, slot_bytes = layout_of(frame.passes, frame.transparent), 0, 0  # of tiles of images
-    if in_tiles:
-        slots = tile_slots_of(scene.images.tiled, scene.image_budget, scene.images.bytes, workers, scene.tiles_least)
-        slot_bytes = scene.images.tiled.slot_bytes
-    # sums of finished tiles stay on a CUDA device until the film is asked for them
-    tile_bytes = (sum(areas) if device.is_cuda else max(areas)) * (layout.count * WINDOW_DIGITS + 1) * 8
-    if settings.half_count == 2:
-        tile_bytes *= 3  # of both halves, and of their sum while a picture is made of it
-    if settings.is_adaptive:
-        tile_bytes += LOOK_BYTES * (sum(areas) if device.is_cuda else max(areas))
-    tile_bytes += slots * slot_bytes
-    sorting = order_bytes(scene.tracing.sort_mode(settings), asked, device.is_cuda)
-    if scene.hits_sorted_by(settings):
-        sorting += hit_order_bytes(asked)
-    budget = max(0, int(free_memory(device) * PATH_MEMORY_SHARE) // workers - tile_bytes - sorting - SPILL_BYTES)
-    count = reduced_path_count(asked, each, budget)
+    device = scene.device
+    in_turns = launches_in_turns(scene, frame, settings)
+    workers = (
+        CUDA_WORKERS if in_turns else min(worker_count(device, settings.thread_count), settings.ray_count or 1 << 30)
+    )
+    room = _room(scene, frame, settings, areas, sample_count, min(workers, len(areas)))
+    if in_turns and room.workers > 1 and room.is_short:  # few paths are faster together
+        room = _room(scene, frame, settings, areas, sample_count, 1)
+    workers, asked, count, each = room.workers, room.asked, room.paths, room.path_bytes
+    made.path_bytes = each
     if count == 0:
         raise OutOfMemoryError(
-            f"{device.alias} has {budget * workers:,} bytes left for rays beside the film's tiles, and one path takes "
-            f"{each}; "
-            "close other programs, lower tile_size, or render a smaller scene"
+            f"{device.alias} has {room.budget * workers:,} bytes left for rays beside the film's tiles, and one path "
+            f"takes {each}; close other programs, lower tile_size, or render a smaller scene"
         )
+    worker, turns = worker_class(settings), LaunchTurns() if in_turns and workers > 1 else None
     while True:
         try:
             marks = water_marks(settings, count)
-            made.worker_bytes = count * each + tile_bytes + sorting + SPILL_BYTES
-            made.integrators = [worker_class(settings)(scene, frame, settings, marks, slots) for _ in range(workers)]
+            made.worker_bytes = count * each + room.other_bytes
+            made.integrators = [worker(scene, frame, settings, marks, room.slots, turns) for _ in range(workers)]
             break
         except (MemoryError, RuntimeError) as error:
             if count == 1 or not ("memory" in str(error).lower() or isinstance(error, MemoryError)):
                 raise
+            made.integrators = []
             count //= 2
+    many = brings_in(scene)
     if not settings.ray_count:
-        why = (
-            "as many as memory and the samples of a tile allow: all that is brought in serves more of them"
-            if many
-            else ("some times what keeps the device busy" if device.is_cuda else "a wave stays within the outer caches")
-        )
-        made.chosen["ray_count"] = Choice(count * workers, why)
+        made.chosen["ray_count"] = Choice(count * workers, _why_so_many(device.is_cuda, many, in_turns))
     if settings.bucket_selection == "AUTO" and scene.treelets and settings.schedule == "WAVEFRONT":
         made.chosen["bucket_selection"] = Choice(
             selection_of(settings).name, "every launch is large" if device.is_cuda else "rays wait less often"
         )
     if settings.spatial_splits == "AUTO" and scene.splits:
         made.chosen["spatial_splits"] = scene.splits
-    if count < asked and not (many and not settings.ray_count):
+    wanted = min(asked, CUDA_RAYS) if in_turns else asked
+    if count < wanted and not (many and not settings.ray_count):
         made.warnings.append(
-            f"ray_count was reduced from {asked * workers:,} to {count * workers:,}: {device.alias} has not enough "
+            f"ray_count was reduced from {wanted * workers:,} to {count * workers:,}: {device.alias} has not enough "
             "free memory"
         )
     elif fewer := fewer_alive(settings.ray_count, workers, areas, sample_count):
         made.warnings.append(fewer)
     return made
+
+
+def _why_so_many(is_cuda: bool, many: bool, in_turns: bool) -> str:
+    if many:
+        return "as many as memory and the samples of a tile allow: all that is brought in serves more of them"
+    if in_turns:
+        return "as many as an eighth of the free memory allows: the more there are, the less the device waits"
+    return "some times what keeps the device busy" if is_cuda else "a wave stays within the outer caches"
+
+
+def in_image_tiles(scene: DeviceScene) -> bool:
+    """Whether images come to the device tile by tile."""
+    return scene.fetches is not None and scene.images.tiled is not None
+
+
+def brings_in(scene: DeviceScene) -> bool:
+    """Whether what is brought in is to serve many rays."""
+    return serves_many(scene.tracing.method is Method.PAGED, in_image_tiles(scene), scene.device.is_cuda)
+
+
+def launches_in_turns(scene: DeviceScene, frame: Frame, settings: RenderSettings) -> bool:
+    """Whether several workers may share a CUDA device: no ray waits for others, nothing is timed or counted, and how
+    many paths are alive is left open.
+    """
+    if not scene.device.is_cuda or settings.ray_count or settings.schedule != "WAVEFRONT":
+        return False
+    waits = scene.tracing.waits or in_image_tiles(scene)
+    return not waits and scene.tracing.counters(settings, frame.passes) is None
+
+
+def _room(
+    scene: DeviceScene, frame: Frame, settings: RenderSettings, areas: Sequence[int], sample_count: int, workers: int
+) -> _Room:
+    """What there is room for with so many `workers`."""
+    device, in_tiles, in_turns = scene.device, in_image_tiles(scene), launches_in_turns(scene, frame, settings)
+    unfiltered = in_tiles and scene.tracing.method is not Method.PAGED and not scene.features.texture_levels
+    alive = paths_a_worker(settings, workers, device.is_cuda, brings_in(scene), unfiltered)
+    # no tile needs more paths than it has samples
+    asked = min(CUDA_RAYS_MOST if in_turns else alive, max(areas) * sample_count)
+    each = path_bytes(scene, frame, settings, asked)
+    layout, slots, slot_bytes = layout_of(frame.passes, frame.transparent), 0, 0  # of tiles of images
+    if in_tiles:
+        slots = tile_slots_of(scene.images.tiled, scene.image_budget, scene.images.bytes, workers, scene.tiles_least)
+        slot_bytes = scene.images.tiled.slot_bytes
+    # sums of finished tiles stay on a CUDA device until the film is asked for them
+    pixels = -(-sum(areas) // workers) if device.is_cuda else max(areas)
+    tile_bytes = pixels * (layout.count * WINDOW_DIGITS + 1) * 8
+    if settings.half_count == 2:
+        tile_bytes *= 3  # of both halves, and of their sum while a picture is made of it
+    if settings.is_adaptive:
+        tile_bytes += LOOK_BYTES * pixels
+    sorting = order_bytes(scene.tracing.sort_mode(settings), asked, device.is_cuda)
+    if scene.hits_sorted_by(settings):
+        sorting += hit_order_bytes(asked)
+    other = tile_bytes + slots * slot_bytes + sorting + SPILL_BYTES
+    free = free_memory(device)
+    budget = max(0, int(free * PATH_MEMORY_SHARE) // workers - other)
+    if in_turns:
+        count = paths_that_fit(asked, each, budget, int(free * ROOM_SHARE) // workers)
+    else:
+        count = reduced_path_count(asked, each, budget)
+    return _Room(workers, asked, count, each, other_bytes=other, budget=budget, slots=slots)
 
 
 def worker_class(settings: RenderSettings) -> type[TileIntegrator]:

@@ -1,4 +1,4 @@
-"""Tiles are dealt in order, first those that lie where the worker is."""
+"""Tiles are dealt in order, first those that lie where the worker is, but for one that takes longer elsewhere."""
 
 from raybatch_addon.core.wavefront.render.deal import Deal
 
@@ -16,3 +16,11 @@ def test_what_is_put_back_comes_behind_the_others_and_stays_where_it_was_rendere
     deal.put_back("a", "there")
     deal.put_back("b", "here")
     assert (deal.take("here"), deal.take("here"), deal.take("here")) == ("b", "a", None)
+
+
+def test_what_takes_longest_is_taken_first_wherever_it_is():
+    deal = Deal([("new", None)])
+    deal.put_back("short", "here", 1.0)
+    deal.put_back("long", "there", 10.0)
+    deal.put_back("as long", "here", 9.5)
+    assert [deal.take("here") for _ in range(5)] == ["new", "as long", "long", "short", None]
