@@ -186,12 +186,13 @@ class Job:
         return TileSteps() if wanted else None
 
     def tile_parts(self, devices: Sequence[wp.Device]) -> TileParts | None:
-        """Where several CUDA `devices` are to come to the end together; None: tiles are not rendered in parts. What is
-        brought in, as pages of geometry are, serves all samples at once.
+        """Where several CUDA `devices` are to come to the end together; None: tiles are not rendered in parts, but in
+        steps or whole. What is brought in, as pages of geometry are, serves all samples at once.
         """
         several = len(devices) > 1 and all(each.is_cuda for each in devices)
         brings_in = self.plan.method is Method.PAGED or bool(self.features.fetch_program)
-        return TileParts() if several and not brings_in and self.settings.sample_order == "FRAME_FIRST" else None
+        whole = self.steps or brings_in or self.settings.sample_order != "FRAME_FIRST"
+        return TileParts() if several and not whole else None
 
     @property
     def kernels(self) -> dict[str, Any]:

@@ -159,9 +159,10 @@ class _Tuner:
             for value in values:
                 if value != chosen:
                     yield {**best, name: value}
-        best = self._best_changes()
+        best, found = self._best_changes(), film.statistics
+        alive = found["schedule"]["ray_count"] / len(found["devices"])  # the setting is of each device
         for factor in _RAY_COUNT_FACTORS:
-            yield {**best, "ray_count": max(1, round(film.statistics["schedule"]["ray_count"] * factor))}
+            yield {**best, "ray_count": max(1, round(alive * factor))}
 
     def _best_changes(self) -> dict[str, Any]:
         best = self.tuning.best

@@ -43,7 +43,6 @@ FILES = {
     "hotel": (("hotel_room.npz",), "y"),
     # scenes of .blend files, as scripts/render.py saves them
     "bmw": (("bmw.scene.npz",), "z"),
-    "demo": (("demo.scene.npz",), "z"),
     "livingroom": (("livingroom.scene.npz",), "z"),
 }
 # Where cameras stand that look from inside: eye and target in the file's units, field of view [degrees]

@@ -26,6 +26,7 @@ class Renders:
         statistics = {
             "seconds": {"render": self.seconds(settings) * settings.sample_count},
             "device": {"alias": alias},
+            "devices": [{"alias": each} for each in alias.split(",")],
             "auto": AUTO,
             "kernels": {"tier": "GENERAL"},
             "schedule": {"ray_count": 1000},
@@ -87,6 +88,11 @@ def test_devices_are_tried_and_each_has_bits_of_its_own():
     assert changes(tuning)[1] == {"device": "cuda:0"} and tuning.best.changes["device"] == "cuda:0"
     assert all(trial.same_bits for trial in tuning.trials)
     assert {each.kernel_tier for each in renders.asked if each.device == "cuda:0"} == {"AUTO"}, "nothing is compiled"
+
+
+def test_rays_alive_are_tried_as_each_of_several_devices_has_them():
+    tuning, _ = tune(RenderSettings(device="cuda:0,cuda:1"), [], Renders(lambda _: 0.5), 1.0)
+    assert [each["ray_count"] for each in changes(tuning) if "ray_count" in each] == [250, 1000]
 
 
 def test_another_film_is_reported_and_never_offered():

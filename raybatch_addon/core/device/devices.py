@@ -161,7 +161,9 @@ def one_of_each_kind() -> list[wp.Device]:
 
 
 def worker_count(device: wp.Device, thread_count: int) -> int:
-    """Worker threads of a render: every core of the CPU by default; one drives a CUDA device."""
+    """Worker threads of a render: every core of the CPU by default; on a CUDA device one, or as
+    `wavefront/render/workers.py` has it.
+    """
     if device.is_cuda:
         return 1
     if thread_count:

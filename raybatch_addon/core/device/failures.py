@@ -62,6 +62,12 @@ def named_failures(device: wp.Device) -> Iterator[None]:
         raise
 
 
+def lacks_memory(error: BaseException) -> bool:
+    """Whether `error` says that memory ran out, on the host or on a device."""
+    text = str(error).lower()
+    return isinstance(error, MemoryError) or "memory" in text or _NO_MEMORY in text
+
+
 def check_device(device: wp.Device) -> None:
     """Raise a `DeviceError` if `device` has stopped: then it has no memory either, and says so first."""
     if device.is_cuda and not device.is_capturing:

@@ -40,13 +40,28 @@ class RepeatedLaunches:
         kept.command.launch()
 
 
-class LaunchTurns:
+class NoTurns:
+    """Whoever wants to launches: there is one worker, or they share nothing."""
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    @contextlib.contextmanager
+    def left(self) -> Iterator[None]:
+        """As it is."""
+        yield
+
+
+class LaunchTurns(NoTurns):
     """Workers of one CUDA device, each on its own thread, launch in turns: `with turns: ...`.
 
     All launches of a device go to one stream. What a worker launches in its turn lies there side by side, so that times
-    between its events are its own, and memory that the device has once for all is used by one at a time. While it waits
-    for the device, as in `with turns.left(): ...`, another one launches: the device has work meanwhile, whatever the
-    host does.
+    between its events are its own but for what other threads copy meanwhile, and memory that the device has once for
+    all, as for sorting, is used by one at a time. While it waits for the device, as in `with turns.left(): ...`,
+    another one launches: the device has work meanwhile, whatever the host does.
     """
 
     def __init__(self) -> None:
@@ -66,21 +81,6 @@ class LaunchTurns:
             yield
         finally:
             self._lock.acquire()
-
-
-class NoTurns(LaunchTurns):
-    """Whoever wants to launches: there is one worker, or they share nothing."""
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, *_: object) -> None:
-        pass
-
-    @contextlib.contextmanager
-    def left(self) -> Iterator[None]:
-        """As it is."""
-        yield
 
 
 class _Kept:

@@ -10,7 +10,7 @@ from typing import Any
 
 import warp as wp
 
-from ..device.launches import LaunchTurns, NoTurns, RepeatedLaunches
+from ..device.launches import NoTurns, RepeatedLaunches
 from ..film import layout_of
 from ..film.mattes import Mattes
 from ..film.tile import FIRST_SAMPLE_ARRAYS, FilmTile, FilmTiles, FinishedTile
@@ -54,11 +54,9 @@ class TileIntegrator:
         settings: RenderSettings,
         marks: WaterMarks,
         tile_slots: int = 0,
-        turns: LaunchTurns | None = None,
+        turns: NoTurns | None = None,
     ):
-        """`tile_slots`: for tiles of images, where these are not whole; `turns`: shared with other workers of the
-        device.
-        """
+        """`tile_slots`: for tiles of images, where these are not whole; `turns`: shared by workers of the device."""
         self._turns = turns or NoTurns()
         features, device, count = scene.features, scene.device, marks.path_count
         self._scene, self._frame, self._marks, self.device = scene, frame, marks, device
@@ -130,8 +128,8 @@ class TileIntegrator:
         They are added to what the tile has from earlier rounds. When `stop()` turns true no path is begun any more, and
         those under way are brought to their end.
         """
-        work, film = self._begin_tile(state, sample_first, sample_count)
         with self._turns:
+            work, film = self._begin_tile(state, sample_first, sample_count)
             self._free = self._lists.all_free(self._paths.status)
         items = min(state.pixel_count * sample_count, state.items_begun + most)
         done, stopped_at, tail_from = 0, None, None
@@ -153,7 +151,8 @@ class TileIntegrator:
                 if self.patience > 0.0 or not stop():  # else paths are given up, whatever came back
                     self._shade(work, film, min(back, self._alive))
                     done += self._finish_paths(work, film, stopped_at is None and state.items_begun < items)
-        return self._end_tile(state, film, done, tail_from)
+        with self._turns:  # it is waited for once, not for each array behind another one's turn
+            return self._end_tile(state, film, done, tail_from)
 
     def _end_tile(self, state: TileState, film: FilmTile, done: int, tail_from: float | None) -> FinishedTile:
         tile = state.tile
@@ -217,8 +216,8 @@ class TileIntegrator:
         work.item_first, work.item_count = state.items_begun, count
         length = self._lists.counts.at(Length.CAMERA)
         with self._timer.stage("generate"):
-            state_of_paths = self._paths, self._rays, self._free, length
-            self._launch(kernel, count, work, self._limits, self._scene.camera, *state_of_paths, *more)
+            into = self._paths, self._rays, self._free, length
+            self._launch(kernel, count, work, self._limits, self._scene.camera, *into, *more)
             if self.volumes:
                 enter, seen = self._kernels.volumes.enter, (self._scene.data.geometry, self.volumes)
                 self._launch(enter, count, *seen, self._rays, self._free, length)
@@ -325,10 +324,10 @@ class TileIntegrator:
         self._lists.counts.send()
         with self._turns.left():
             lengths = self._lists.counts.arrived()
+            if lengths[Length.MATTES]:
+                self._mattes = self._mattes.plus(self._film_tiles.mattes_aside(lengths[Length.MATTES]))
         if self.textures:
             self.textures.bring()
-        if lengths[Length.MATTES]:
-            self._mattes = self._mattes.plus(self._film_tiles.mattes_aside(lengths[Length.MATTES]))
         if self._film_tiles.take_spill(film, lengths[Length.SPILL]):
             self._launch_over(self._kernels.accumulate, done, work, self._paths, film)
         self._alive -= lengths[Length.DONE]

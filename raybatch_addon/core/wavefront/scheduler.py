@@ -12,14 +12,12 @@ from ..settings.settings import RenderSettings
 # GPU needs some ten thousand threads many times over, so that a wave's tail does not leave it idle.
 CPU_RAYS_A_WORKER = 1 << 15
 CUDA_RAYS = 1 << 22
-# Where no ray waits, as many as this, of each of two workers: between turns the host takes as long however many paths
-# there are, and with one worker a GPU waits for it. A render of 3840 x 2160 pixels (H200, 192 samples of the demo and
-# of a car) took 8.2 and 10.4 s with one worker of 1 << 22, 7.7 and 9.9 s with one of 1 << 24, 7.7 and 9.5 s with two,
-# and 10.1 and 12.3 s (7.8 and 9.9 s with two of 1 << 24) while seven threads did what a worker of another GPU does in
-# Python
-CUDA_RAYS_MOST = 1 << 24
-CUDA_WORKERS = 2
-# Share of the free memory that paths beyond CUDA_RAYS may take, of all workers together
+# Where no ray waits, a GPU has two workers, each with as many paths as this. Between turns the host takes as long
+# however many paths there are: more of them make fewer turns, and while one worker waits the GPU has the other's
+# launches. Renders of 3840 x 2160 pixels, 192 samples (H200; the demo, and a car) took 8.2 and 10.4 s with one worker
+# of CUDA_RAYS paths, 7.7 and 9.9 s with one of 1 << 24, and 7.7 and 9.5 s with two; two of 1 << 21 took 8.6 and 11.7 s
+CUDA_WORKERS, CUDA_RAYS_MOST = 2, 1 << 24
+# Share of the free memory that their paths may take; where that is less than CUDA_RAYS each, there is one worker
 ROOM_SHARE = 0.125
 # Beyond memory every page that is brought in should serve many rays. But all of them are looked through for each: a
 # render of 125 million triangles (H200, a tenth of them on the device) took 1.39 s with 34 million paths alive, and
@@ -99,14 +97,6 @@ def paths_a_worker(
     if many:
         return IMAGE_RAYS if unfiltered and is_cuda else RAYS_MOST[is_cuda]
     return CUDA_RAYS if is_cuda else CPU_RAYS_A_WORKER
-
-
-def paths_that_fit(asked: int, bytes_a_path: int, budget: int, room: int) -> int:
-    """Paths of a worker where no ray waits: at most `asked`; CUDA_RAYS where they fit `budget` bytes, more where they
-    fit `room` bytes too. 0 when not even one path fits.
-    """
-    least = reduced_path_count(min(asked, CUDA_RAYS), bytes_a_path, budget)
-    return max(least, reduced_path_count(asked, bytes_a_path, min(room, budget)))
 
 
 def tile_edge(

@@ -1,96 +1,15 @@
-"""Several GPUs of one process: tiles are dealt to their workers, whose threads share a host."""
+"""Several GPUs of one process: tiles go to whoever is free, and something is done one after another."""
 
 from __future__ import annotations
 
 import heapq
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 
-from raybatch_addon.core.wavefront.render.deal import Deal
-from raybatch_addon.core.wavefront.render.steps import LEFT_SHARE, TileParts
-from raybatch_addon.core.wavefront.scheduler import CUDA_WORKERS
-
-PIXELS = 3840 * 2160
-TILE_SPREAD = 0.25  # of the seconds of tiles (standard deviation of their logarithm): 0.18 to 0.34, docs/devices.md
-
-
-@dataclass(frozen=True)
-class Scheme:
-    """How tiles come to workers."""
-
-    workers: int = CUDA_WORKERS  # of a GPU
-    parts: bool = True  # tiles are rendered in parts towards the end
-
-
-BEFORE = Scheme(workers=1, parts=False)  # when two and four GPUs were measured
-NOW = Scheme()
-
-
-@dataclass
-class _Gpu:
-    """One whose workers share its time evenly."""
-
-    left: dict[int, float] = field(default_factory=dict)  # seconds of a worker's tile, had it the GPU for itself
-
-    def next_end(self) -> tuple[float, int]:
-        """In how many seconds which worker is through with its tile."""
-        worker = min(self.left, key=self.left.__getitem__)
-        return self.left[worker] * len(self.left), worker
-
-    def go_on(self, seconds: float) -> None:
-        """So much time passes."""
-        for worker in self.left:
-            self.left[worker] -= seconds / len(self.left)
-
-
-def dealt_seconds(tiles: Sequence[float], samples: int, count: int, scheme: Scheme) -> float:
-    """When `count` GPUs are through with tiles that take one GPU so many seconds for `samples` samples. Tiles are dealt
-    and parted by the renderer's own rules.
-    """
-    deal, parts = Deal((tile, None) for tile in range(len(tiles))), TileParts()
-    left, pixels, workers = [samples] * len(tiles), PIXELS / len(tiles), count * scheme.workers
-    gpus, under_way, now = [_Gpu() for _ in range(count)], {}, 0.0
-
-    def take(worker: int) -> None:
-        tile = deal.take(worker // scheme.workers)
-        if tile is None:
-            return
-        share = LEFT_SHARE / workers * sum(left)
-        its = parts.samples(tile, left[tile], int(pixels), share) if scheme.parts else left[tile]
-        left[tile] -= its
-        under_way[worker] = tile, its, now
-        gpus[worker // scheme.workers].left[worker] = its / samples * tiles[tile]
-
-    for worker in range(workers):
-        take(worker)
-    while under_way:
-        (seconds, worker), place = min((gpu.next_end(), i) for i, gpu in enumerate(gpus) if gpu.left)
-        for gpu in gpus:
-            if gpu.left:
-                gpu.go_on(seconds)
-        now += seconds
-        del gpus[place].left[worker]
-        tile, its, begun = under_way.pop(worker)
-        parts.note(tile, its, now - begun)
-        if left[tile]:
-            deal.put_back(tile, place, parts.seconds(tile, left[tile]))
-        take(worker)
-    return now
-
-
-def process_seconds(seconds: float, count: int, samples: int, tile_count: int, scheme: Scheme, host: float) -> float:
-    """What a picture of 3840 x 2160 pixels takes `count` GPUs of a process that takes one so long, in the mean of some
-    draws of its tiles' times; `host` is how many times as long a GPU takes beside the threads of the others
-    (`scripts/several_devices/threads_of_others.py`).
-    """
-    found = []
-    for seed in range(8):
-        tiles = np.exp(np.random.default_rng(seed).normal(0.0, TILE_SPREAD, tile_count))
-        tiles *= seconds / tiles.sum()
-        found.append(dealt_seconds(tiles.tolist(), samples, count, scheme))
-    return host * float(np.mean(found))
+TILES_A_DEVICE = 8  # docs/devices.md
+TILE_SPREAD = 0.5  # of the seconds of tiles: a sky, and glass (standard deviation of their logarithm); assumed
+LAST_SHARE = 0.125  # of a tile's samples that it gets in a turn towards the end; assumed
 
 
 def listed(seconds: Sequence[float], rates: Sequence[float]) -> float:
@@ -120,3 +39,15 @@ def amdahl(count: float, serial: float) -> float:
 def serial_share(count: float, speedup: float) -> float:
     """The inverse of `amdahl`."""
     return (count / speedup - 1.0) / (count - 1.0)
+
+
+def process_seconds(seconds: float, count: int, serial: float, seed: int = 0) -> float:
+    """What a picture takes `count` GPUs of a process that takes one so long: the share `serial` is done by one after
+    another, the rest is tiles that are dealt, the last turns of each being shorter.
+    """
+    random = np.random.default_rng(seed)
+    tiles = np.exp(random.normal(0.0, TILE_SPREAD, TILES_A_DEVICE * count))
+    tiles *= (1.0 - serial) * seconds / tiles.sum()
+    whole, rest = int(0.5 / LAST_SHARE), round(1.0 / LAST_SHARE)
+    turns = [tiles * whole * LAST_SHARE, *(tiles * LAST_SHARE for _ in range(rest - whole))]
+    return serial * seconds + listed(np.concatenate(turns).tolist(), [1.0] * count)

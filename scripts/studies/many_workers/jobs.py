@@ -4,7 +4,7 @@ the simulation is judged.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from studies.many_workers.model import Job, Site
 
@@ -19,41 +19,22 @@ FRAMES = 48
 STILLS = {"still, 60 s": 60.0, "still, 10 min": 600.0, "still, 5 h": 18_000.0}
 ANIMATION = f"animation, {FRAMES} frames of 60 s"
 
-
-@dataclass(frozen=True)
-class Shared:
-    """A picture of 3840 x 2160 pixels that GPUs of a process share."""
-
-    name: str
-    samples: int
-    seconds: float  # of one GPU
-    tiles: int
-    gpus: int
-    speedup: float = 0.0  # measured; 0: it was not
-
-    @property
-    def words(self) -> str:
-        """For a table."""
-        return f"{self.name}, {self.samples} samples, {self.gpus} GPUs of a process"
-
-
-# Speedups that were measured on H100s of one host, the last on H200s (docs/devices.md), when a GPU had one worker and
-# tiles were rendered in one part each. Seconds of one are known for the demo; the BMW's are assumed, and matter little
+# Speedups that were measured on H100s of one host, the last on H200s (docs/devices.md): seconds of one GPU, GPUs, and
+# how much sooner. Seconds of one are known for the demo; the BMW's are assumed, and matter little
 MEASURED = (
-    Shared("demo", 1024, 45.7, 135, 2, 1.94),
-    Shared("demo", 1024, 45.7, 135, 4, 3.64),
-    Shared("demo", 256, 11.4, 40, 2, 1.96),
-    Shared("demo", 256, 11.4, 40, 4, 3.69),
-    Shared("BMW", 1024, 180.0, 135, 2, 2.05),
-    Shared("BMW", 1024, 180.0, 135, 4, 3.62),
-    Shared("BMW", 256, 45.0, 40, 2, 2.03),
-    Shared("BMW", 256, 45.0, 40, 4, 3.81),
-    Shared("demo", 192, 8.32, 18, 2, 1.93),
+    ("demo, 1024 samples", 45.7, 2, 1.94),
+    ("demo, 1024 samples", 45.7, 4, 3.64),
+    ("demo, 256 samples", 11.4, 2, 1.96),
+    ("demo, 256 samples", 11.4, 4, 3.69),
+    ("BMW, 1024 samples", 180.0, 2, 2.05),
+    ("BMW, 1024 samples", 180.0, 4, 3.62),
+    ("BMW, 256 samples", 45.0, 2, 2.03),
+    ("BMW, 256 samples", 45.0, 4, 3.81),
+    ("demo, 192 samples", 8.32, 2, 1.93),
 )
-FOUR = 1  # the row of it from which Amdahl's law takes the share that is not shared
-# What was not measured, and is predicted: by what GPUs were then, and by what they are
-BEFORE = tuple(Shared("demo", samples, seconds, 135, 8) for samples, seconds in ((1024, 45.7),))
-NOW = tuple(Shared("demo", 1024, 40.0, 135, gpus) for gpus in (2, 4, 8))
+FITTED = 1  # the row of it that the serial share was taken from
+# What was not measured, and is predicted: seconds of one GPU, and GPUs
+PREDICTED = (("demo, 1024 samples", 45.7, 8), ("BMW, 1024 samples", 180.0, 8))
 # Two workers on two cores beside one process with two threads, seconds of this and of them: a sample takes a worker
 # 1.16 times as long, and the workers start for six seconds
 LOCAL = ((32.0, 42.0), (95.0, 127.0))

@@ -23,7 +23,6 @@ from raybatch_addon.core.cluster.store import PartStore
 from raybatch_addon.core.scene.description import Scene
 from raybatch_addon.core.settings.settings import RenderSettings
 from studies.many_lights import hall
-from studies.many_workers import beside
 from studies.study import Case, Options, Row
 
 if TYPE_CHECKING:
@@ -168,10 +167,10 @@ MEASURES: dict[str, Callable[[Bench], Row]] = {
 
 
 def cases(options: Options) -> list[Case]:
-    """The kinds of parts; on a GPU renders beside the threads of others."""
-    return beside.cases(options) if options.is_cuda else [Case(name, name) for name in MEASURES]
+    """The kinds of parts."""
+    return [Case(name, name) for name in MEASURES]
 
 
 def measure(case: Case, turn: int, bench: Bench) -> Row:
-    """The seconds of one kind, or one render."""
-    return MEASURES[case.key](bench) if case.key in MEASURES else beside.measured_beside(case, bench)
+    """The seconds of one kind."""
+    return MEASURES[case.key](bench)

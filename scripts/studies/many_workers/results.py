@@ -62,33 +62,24 @@ def works(is_cold: bool) -> dict[str, Job]:
 
 
 def fragment(reports: dict[str, Report]) -> str:
-    """The parts, the judgement of the simulation, and what it says of many GPUs; as much of it as was measured."""
-    blocks = []
-    if "cpu" in reports:
-        costs = costs_of(reports["cpu"])
-        blocks += [
-            f"- {machine(reports['cpu'])} Seconds of processors; the machine was busy.",
+    """The parts, the judgement of the simulation, and what it says of many GPUs."""
+    report = reports["cpu"]
+    costs = costs_of(report)
+    return "\n\n".join(
+        [
+            f"- {machine(report)} Seconds of processors; the machine was busy.",
             "**Measured parts**",
             _parts(costs),
-        ]
-    if "cuda" in reports:
-        blocks += [
-            f"- {machine(reports['cuda'])}",
-            "**Threads of other GPUs**: how many times as long as alone a GPU takes beside those of so many",
-            _beside(reports["cuda"]),
-        ]
-    if {"cpu", "cuda"} <= reports.keys():
-        blocks += [
             "**Simulated, and measured**",
-            _judged(costs, reports),
+            _judged(costs),
             "**Many GPUs**: machines of eight, 25 Gbit/s; shares of the GPUs' time",
             _many(costs),
             "**Networks** of machines: efficiency of a still of 10 minutes whose scene is sent",
             _networks(costs),
             "**What would help**: efficiency of stills where scene and kernels are there",
-            _helped(costs, lost_share(reports)),
+            _helped(costs),
         ]
-    return "\n\n".join(blocks)
+    )
 
 
 def _parts(costs: Costs) -> str:
@@ -96,73 +87,24 @@ def _parts(costs: Costs) -> str:
     return table(["part", "takes", ""], rows)
 
 
-def beside_others(report: Report) -> dict[tuple[str, str], dict[int, float]]:
-    """How many times as long as alone a GPU takes beside the threads of so many others, by scene and scheme: the median
-    over turns of the ratio within each. With none of them it is 1.
-    """
-    seconds = {(row["scene"], row["scheme"], row["turn"], row["others"]): row["seconds"] for row in report["rows"]}
-    found: dict[tuple[str, str], dict[int, list[float]]] = {}
-    for (scene, scheme, turn, others), its in seconds.items():
-        ratios = found.setdefault((scene, scheme), {})
-        ratios.setdefault(others, []).append(its / seconds[scene, scheme, turn, 0])
-    return {key: {others: statistics.median(each) for others, each in ratios.items()} for key, ratios in found.items()}
-
-
-def speedup(case: jobs.Shared, scheme: devices.Scheme, hosts: dict[int, float]) -> float:
-    """Of GPUs of a process that share a picture, as simulated; `hosts` as `beside_others` has it for the scheme."""
-    # threads wait for no others where there are none: noise is no gain
-    host = max(hosts[case.gpus - 1], 1.0)
-    return case.seconds / devices.process_seconds(case.seconds, case.gpus, case.samples, case.tiles, scheme, host)
-
-
-def _hosts(reports: dict[str, Report]) -> tuple[dict[int, float], dict[int, float]]:
-    """Those of the demo, as GPUs were and as they are."""
-    found = beside_others(reports["cuda"])
-    return found["demo", "one worker"], found["demo", "two workers"]
-
-
-def _beside(report: Report) -> str:
+def _judged(costs: Costs) -> str:
     rows = []
-    for (scene, scheme), ratios in beside_others(report).items():
-        its = [row for row in report["rows"] if (row["scene"], row["scheme"]) == (scene, scheme)]
-        alone = statistics.median(row["seconds"] for row in its if row["others"] == 0)
-        turn = statistics.median(row["seconds"] / row["turns"] for row in its if row["others"] == 0)
-        cells = [f"{ratios[others]:.3f}" for others in sorted(ratios) if others]
-        most = max(ratios)
-        busy = statistics.median(row["busy"] for row in its if row["others"] == most)
-        host = statistics.median(row["host_ms"] for row in its if row["others"] == most)
-        rows.append([scene, scheme, f"{alone:.2f} s", f"{1e3 * turn:.1f} ms", *cells, f"{host:.1f} ms", f"{busy:.0%}"])
-    counts = sorted({row["others"] for row in report["rows"]} - {0})
-    heads = ["scene", "a GPU has", "alone", "a turn", *(f"beside {each}" for each in counts)]
-    return table([*heads, f"host, a turn, with {counts[-1]}", "others busy"], rows)
-
-
-def _judged(costs: Costs, reports: dict[str, Report]) -> str:
-    rows, (before, now) = [], _hosts(reports)
-    four = jobs.MEASURED[jobs.FOUR]
-    serial = devices.serial_share(four.gpus, four.speedup)
-    for case in jobs.MEASURED:
-        found, law = speedup(case, devices.BEFORE, before), devices.amdahl(case.gpus, serial)
-        rows.append(
-            [case.words, f"{case.speedup:.2f}", f"{found:.2f}", f"{found / case.speedup - 1:+.1%}", f"{law:.2f}"]
-        )
-    for case in jobs.BEFORE:
-        found, law = speedup(case, devices.BEFORE, before), devices.amdahl(case.gpus, serial)
-        rows.append([f"{case.words}, as they were", "", f"{found:.2f}", "", f"{law:.2f}"])
-    for case in jobs.NOW:
-        rows.append([f"{case.words}, as they are", "", f"{speedup(case, devices.NOW, now):.2f}", "", ""])
+    serial = devices.serial_share(*jobs.MEASURED[jobs.FITTED][2:])
+    for i, (name, seconds, count, measured) in enumerate(jobs.MEASURED):
+        found = seconds / devices.process_seconds(seconds, count, serial)
+        law = devices.amdahl(count, serial)
+        what = f"{name}, {count} GPUs of a process{' (the share is of this)' if i == jobs.FITTED else ''}"
+        rows.append([what, f"{measured:.2f}", f"{found:.2f}", f"{found / measured - 1:+.1%}", f"{law:.2f}"])
+    for name, seconds, count in jobs.PREDICTED:
+        found = seconds / devices.process_seconds(seconds, count, serial)
+        law = devices.amdahl(count, serial)
+        rows.append([f"{name}, {count} GPUs of a process (predicted)", "", f"{found:.2f}", "", f"{law:.2f}"])
     for alone, measured in jobs.LOCAL:
         found = jobs.LOCAL_START + outcome(costs, *jobs.local_job(alone)).seconds
         what = f"two workers on two cores, {alone:.0f} s alone"
         speeds = alone / measured, alone / found
         rows.append([what, *(f"{each:.2f}" for each in speeds), f"{speeds[1] / speeds[0] - 1:+.1%}", ""])
-    return table(["case", "measured speedup", "simulated", "error", "Amdahl's law, from four GPUs"], rows)
-
-
-def lost_share(reports: dict[str, Report]) -> float:
-    """What eight GPUs of a process lose, as a share that is not shared."""
-    case = jobs.NOW[-1]
-    return devices.serial_share(case.gpus, speedup(case, devices.NOW, _hosts(reports)[1]))
+    return table(["case", "measured speedup", "simulated", "error", "Amdahl's law"], rows)
 
 
 def _many(costs: Costs) -> str:
@@ -203,8 +145,9 @@ def changes(costs: Costs) -> dict[str, tuple[Costs, Site]]:
     }
 
 
-def _helped(costs: Costs, serial: float) -> str:
+def _helped(costs: Costs) -> str:
     rows = []
+    serial = devices.serial_share(*jobs.MEASURED[jobs.FITTED][2:])
     for name, (own, site) in changes(costs).items():
         loss = serial if site.gpus_worker > 1 and "without loss" not in name else 0.0
         cells = [

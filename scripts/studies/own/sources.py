@@ -30,7 +30,7 @@ BUILT: dict[str, Callable[[], Scene]] = {
     "checkerboard": textures.checkerboard,
     "painted-hills": lambda: painted_hills.scene(EDGE),
 }
-SAVED = ("bmw", "livingroom", "demo")  # of `FILES`: scenes of .blend files, with lights of their own
+SAVED = ("bmw", "livingroom")  # of `FILES`: scenes of .blend files, with lights of their own
 NAMES = (*BUILT, *FILES)
 
 

@@ -7,13 +7,10 @@ from hypothesis import strategies as st
 
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.scheduler import (
-    CUDA_RAYS,
-    CUDA_RAYS_MOST,
     IMAGE_RAYS,
     RAYS_MOST,
     WaterMarks,
     paths_a_worker,
-    paths_that_fit,
     reduced_path_count,
     tile_edge,
     tiles,
@@ -82,19 +79,6 @@ def test_what_comes_to_a_gpu_serves_more_rays_and_larger_tiles():
     settings = RenderSettings(sample_count=256)
     assert paths_a_worker(settings, 1, True, many=True) > paths_a_worker(settings, 1, True)
     assert tile_edge(settings, True, 1280, 720, many=True) == 1280 > tile_edge(settings, True, 1280, 720)
-
-
-def test_more_paths_where_there_is_room_for_them():
-    each, plenty = 100, 1 << 40
-    assert paths_that_fit(CUDA_RAYS_MOST, each, plenty, plenty) == CUDA_RAYS_MOST > CUDA_RAYS
-    # the room is full before the budget
-    assert paths_that_fit(CUDA_RAYS_MOST, each, plenty, 2 * CUDA_RAYS * each) == 2 * CUDA_RAYS
-    assert paths_that_fit(CUDA_RAYS_MOST, each, plenty, 0) == CUDA_RAYS
-    # the budget is full before the room
-    assert paths_that_fit(CUDA_RAYS_MOST, each, CUDA_RAYS * each - 1, plenty) == CUDA_RAYS // 2
-    assert paths_that_fit(CUDA_RAYS_MOST, each, each - 1, plenty) == 0
-    # no more than a tile has
-    assert paths_that_fit(1000, each, plenty, 0) == paths_that_fit(1000, each, plenty, plenty) == 1000
 
 
 def test_path_count_shrinks_to_memory():

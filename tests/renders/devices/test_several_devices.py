@@ -14,6 +14,7 @@ from raybatch_addon.core.session_device import SessionDevice
 from raybatch_addon.core.wavefront.integrator import TileIntegrator
 from raybatch_addon.core.wavefront.render import deal
 from raybatch_addon.core.wavefront.scene.device_scene import DeviceScene
+from raybatch_addon.core.wavefront.scheduler import CUDA_WORKERS
 from raybatch_addon.core.wavefront.tile_state import TileState
 from tests.support import scenes
 from tests.support.under_test import DEVICE
@@ -37,8 +38,8 @@ PAGED = {"paged": 0.2, "peers": 0.6}
 
 
 def devices_like_it() -> list[wp.Device]:
-    """`COUNT` devices like the one under test; fewer where there are fewer of CUDA, each of which one thread drives
-    (Warp's sorts share memory, and a capture takes in what others launch). The CPU stands for several.
+    """`COUNT` devices like the one under test; fewer where there are fewer of CUDA, each of them once (Warp's sorts
+    share memory, and a capture takes in what others launch). The CPU stands for several.
     """
     device = wp.get_device(DEVICE)
     if device.is_cpu:
@@ -87,6 +88,12 @@ def settings_of(way: str):
     return SETTINGS.replace(**{"thread_count": 1, "sample_count": 12, **WAYS[way], **budget})
 
 
+def workers_of_one(way: str) -> int:
+    """Workers of a device: a GPU has two where no ray waits."""
+    waits = way in PAGED or way == "batched"
+    return 1 if waits or wp.get_device(DEVICE).is_cpu else CUDA_WORKERS
+
+
 def failing(call, number, error):
     """`call`, whose call of this `number` fails."""
     calls = []
@@ -108,7 +115,7 @@ def test_the_film_is_that_of_one_device(session, several, way):
         film = several.render(fine(), settings)
         assert_same_film(film, expected)
         assert film.statistics["rays"] == expected.statistics["rays"]
-    assert film.statistics["schedule"]["workers"] % len(several.devices) == 0
+    assert film.statistics["schedule"]["workers"] == workers_of_one(way) * len(several.devices)
 
 
 def test_the_statistics_list_the_devices(several):
@@ -128,6 +135,7 @@ def test_few_paths_are_not_shared(session, several, monkeypatch):
     film = several.render(fine(), settings)
     assert_same_film(film, expected)
     assert len(film.statistics["devices"]) == 1
+    assert film.statistics["schedule"]["workers"] == workers_of_one("progressive")
 
 
 def test_a_stopped_render_goes_on_with_other_devices(session, several):

@@ -10,19 +10,18 @@ from typing import Generic, TypeVar
 Work = TypeVar("Work")
 
 
-# A worker takes a tile at its own place unless one of another place takes so much longer, as a share of that
 NEAR_LONGEST = 0.9
 
 
 class Deal(Generic[Work]):
     """Tiles that wait for workers, dealt to whoever is free: those that take longest first, equal ones in order.
     Workers have places, such as the devices whose memory they share: one takes a tile that is at its place or nowhere
-    yet, and one of another place's where that takes longer, or none is left.
+    yet, if it takes `NEAR_LONGEST` of the time that the longest of all takes, and else that.
     """
 
-    def __init__(self, waiting: Iterable[tuple[Work, Hashable]]):
-        """`waiting`: each with its place; None: nowhere yet. How long they take is not known."""
-        self._waiting = [(work, place, math.inf) for work, place in waiting]
+    def __init__(self, waiting: Iterable[tuple[Work, Hashable, float]]):
+        """`waiting`: each with its place (None: nowhere yet) and how long it takes [s] (inf: that is not known)."""
+        self._waiting = list(waiting)
         self._lock = threading.Lock()
 
     def take(self, place: Hashable) -> Work | None:

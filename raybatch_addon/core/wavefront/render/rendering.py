@@ -65,6 +65,8 @@ class Rendering:
             started,
         )
         self._steps, self._parts = steps, parts
+        # the parts under way: tiles, and how many samples of the round each half has at the end
+        self._taken: dict[TileIntegrator, tuple[Sequence[TileState], int]] = {}
         self._total, self._pixels = state.items_to_come, state.pixel_count
         self._earlier = film.sample_total  # paths that are in the film already
         self._earlier_invalid = state.invalid_samples
@@ -144,9 +146,10 @@ class Rendering:
         """
         state, events = self._state, self._events
         is_cancelled = is_kept = False
+        self._taken.clear()
         # with steps no tile gets ahead of the others, however often the workers are stopped
         tiles = state.open_tiles_behind_first if self._steps else state.open_tiles
-        todo = Deal((halves, halves[0].place) for halves in tiles)
+        todo = Deal((halves, halves[0].place, self._seconds_left(halves)) for halves in tiles)
         results: queue.SimpleQueue[FinishedTile | BaseException | None] = queue.SimpleQueue()
         stop = threading.Event()
 
@@ -188,7 +191,7 @@ class Rendering:
         working = len(threads)
         look()  # before there is a path: it may have been cancelled while the scene was built
         if self._is_short():
-            threads, working = [], 1
+            threads = []
             work(self._integrators[0], *self._alone(look, stop))
         for thread in threads:
             thread.start()
@@ -270,15 +273,14 @@ class Rendering:
             if self._steps:
                 self._steps.note(tile.rectangle, samples, end - start, tail_seconds + end - joined)
             elif self._parts:
-                self._parts.note(tile.rectangle, samples, end - start)
+                self._parts.note(tile.rectangle, sum(now) - sum(begun), end - start)
         return tile
 
     def _seconds_left(self, halves: Sequence[TileState]) -> float:
         """What is left of a tile's round takes; inf where that is not known, or does not matter."""
         if not self._parts:
             return math.inf
-        left = max(self._state.items_left(state) / max(state.pixel_count, 1) for state in halves)
-        return self._parts.seconds(_rectangle(halves), left)
+        return self._parts.seconds(_rectangle(halves), self._state.items_left_of(halves))
 
     def _step_end(self, integrator: TileIntegrator, halves: Sequence[TileState]) -> int:
         """Samples of the round that each half of a tile has when it is shown: the same for all, wherever a stop left
@@ -290,9 +292,18 @@ class Rendering:
             return last
         begun = min(state.items_begun // max(state.pixel_count, 1) for state in halves)
         pixels, left = max(sum(state.pixel_count for state in halves), 1), last - begun
-        share = LEFT_SHARE / len(self._integrators) * self._state.items_open / pixels
-        if not self._steps:
-            return begun + self._parts.samples(rectangle, left, pixels, share)
+        # what others have taken, and not begun yet, is left to nobody
+        taken = sum(
+            max(0, end * each.pixel_count - each.items_begun)
+            for other, (its, end) in list(self._taken.items())
+            for each in its
+            if other is not integrator
+        )
+        share = LEFT_SHARE / len(self._integrators) * max(self._state.items_open - taken, 0) / pixels
+        if self._parts:
+            end = begun + self._parts.samples(rectangle, left, pixels, share)
+            self._taken[integrator] = halves, end
+            return end
         waits = begun > 0 and integrator.textures is not None and integrator.device.is_cuda
         together = integrator.path_count // pixels if waits else 0
         samples = self._steps.samples(rectangle, left, share)

@@ -24,7 +24,7 @@ LEFT_SHARE = 0.5
 # Where tiles are rendered in parts, a worker begins so many paths at least: to bring them to their end costs little
 # beside it
 PART_LEAST = 1 << 23
-# And of a tile of which nothing is known so much, after which it is known how long the rest takes
+# Share of a tile's samples in its first part at most, whose time tells how long the rest takes
 FIRST_PART = 0.25
 # Towards the end steps are shorter, so that workers come to it together, unless stopping and showing took so much of it
 END_COST_SHARE = 0.1
@@ -39,25 +39,25 @@ class TileParts:
     """
 
     def __init__(self) -> None:
-        self._seconds_a_sample: dict[Hashable, float] = {}  # of a tile's last part
+        self._seconds_a_path: dict[Hashable, float] = {}  # of a tile's last part
 
     def samples(self, tile: Hashable, left: int, pixels: int, share: float) -> int:
         """Samples of the next part of `tile`, of whose `pixels` each has `left` to come. `share` is what a worker
         should take of all that is left at most, as samples of this tile.
         """
-        if tile not in self._seconds_a_sample:
+        if tile not in self._seconds_a_path:
             share = min(share, FIRST_PART * left)
         samples = math.ceil(max(share, PART_LEAST / pixels))
         return left if left <= LAST_LONGER * samples else samples
 
-    def note(self, tile: Hashable, samples: float, seconds: float) -> None:
-        """A part of `samples` samples took `seconds`."""
-        if samples > 0:
-            self._seconds_a_sample[tile] = seconds / samples
+    def note(self, tile: Hashable, paths: int, seconds: float) -> None:
+        """A part of `paths` paths took `seconds`."""
+        if paths > 0:
+            self._seconds_a_path[tile] = seconds / paths
 
-    def seconds(self, tile: Hashable, samples: float) -> float:
-        """What so many more samples of `tile` take; inf where nothing is known of it."""
-        return self._seconds_a_sample.get(tile, math.inf) * samples
+    def seconds(self, tile: Hashable, paths: int) -> float:
+        """What so many more paths of `tile` take; inf where nothing is known of it."""
+        return self._seconds_a_path.get(tile, math.inf) * paths
 
 
 class TileSteps:

@@ -1,11 +1,14 @@
-"""The workers of a render: as many integrators as there are threads, each with as many paths as memory allows."""
+"""The workers of a render: as many integrators as there are threads, or one or two of a CUDA device, each with as many
+paths as memory allows.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from ...device.devices import free_memory, worker_count
+from ...device.failures import lacks_memory
 from ...device.launches import LaunchTurns
 from ...errors import OutOfMemoryError
 from ...film import layout_of
@@ -26,7 +29,6 @@ from ..scheduler import (
     CUDA_WORKERS,
     ROOM_SHARE,
     paths_a_worker,
-    paths_that_fit,
     reduced_path_count,
     serves_many,
     water_marks,
@@ -105,11 +107,6 @@ class _Room:
     budget: int  # for the paths of each [bytes]
     slots: int  # of tiles of images
 
-    @property
-    def is_short(self) -> bool:
-        """Whether there is not enough memory for what keeps a CUDA device busy."""
-        return self.paths < min(self.asked, CUDA_RAYS)
-
 
 def make_workers(
     scene: DeviceScene, frame: Frame, settings: RenderSettings, areas: Sequence[int], sample_count: int
@@ -118,59 +115,56 @@ def make_workers(
     made = Workers()
     if not areas:
         return made
-    device = scene.device
+    device, many = scene.device, brings_in(scene)
     in_turns = launches_in_turns(scene, frame, settings)
-    workers = (
-        CUDA_WORKERS if in_turns else min(worker_count(device, settings.thread_count), settings.ray_count or 1 << 30)
-    )
-    room = _room(scene, frame, settings, areas, sample_count, min(workers, len(areas)))
-    if in_turns and room.workers > 1 and room.is_short:  # few paths are faster together
-        room = _room(scene, frame, settings, areas, sample_count, 1)
-    workers, asked, count, each = room.workers, room.asked, room.paths, room.path_bytes
-    made.path_bytes = each
-    if count == 0:
+    room = _room_in_turns(scene, frame, settings, areas, sample_count) if in_turns else None
+    if room is None:
+        workers = min(worker_count(device, settings.thread_count), settings.ray_count or len(areas), len(areas))
+        room = _room(scene, frame, settings, areas, sample_count, workers)
+    if room.paths == 0:
         raise OutOfMemoryError(
-            f"{device.alias} has {room.budget * workers:,} bytes left for rays beside the film's tiles, and one path "
-            f"takes {each}; close other programs, lower tile_size, or render a smaller scene"
+            f"{device.alias} has {room.budget * room.workers:,} bytes left for rays beside the film's tiles, and one "
+            f"path takes {room.path_bytes}; close other programs, lower tile_size, or render a smaller scene"
         )
-    worker, turns = worker_class(settings), LaunchTurns() if in_turns and workers > 1 else None
-    while True:
+    worker, turns = worker_class(settings), (LaunchTurns(),) if in_turns and room.workers > 1 else ()
+    while not made.integrators:
         try:
-            marks = water_marks(settings, count)
-            made.worker_bytes = count * each + room.other_bytes
-            made.integrators = [worker(scene, frame, settings, marks, room.slots, turns) for _ in range(workers)]
-            break
+            its = scene, frame, settings, water_marks(settings, room.paths), room.slots
+            made.integrators = [worker(*its, *turns) for _ in range(room.workers)]
         except (MemoryError, RuntimeError) as error:
-            if count == 1 or not ("memory" in str(error).lower() or isinstance(error, MemoryError)):
+            if room.paths == 1 or not lacks_memory(error):
                 raise
-            made.integrators = []
-            count //= 2
-    many = brings_in(scene)
+        if not made.integrators:  # behind the error, which keeps alive what was allocated
+            room = _room(scene, frame, settings, areas, sample_count, 1) if turns else room
+            room, turns = replace(room, paths=max(1, room.paths // 2)), ()
+    workers, count = room.workers, room.paths
+    made.path_bytes, made.worker_bytes = room.path_bytes, count * room.path_bytes + room.other_bytes
     if not settings.ray_count:
-        made.chosen["ray_count"] = Choice(count * workers, _why_so_many(device.is_cuda, many, in_turns))
+        made.chosen["ray_count"] = Choice(count * workers, _why_so_many(device.is_cuda, many, workers))
     if settings.bucket_selection == "AUTO" and scene.treelets and settings.schedule == "WAVEFRONT":
         made.chosen["bucket_selection"] = Choice(
             selection_of(settings).name, "every launch is large" if device.is_cuda else "rays wait less often"
         )
     if settings.spatial_splits == "AUTO" and scene.splits:
         made.chosen["spatial_splits"] = scene.splits
-    wanted = min(asked, CUDA_RAYS) if in_turns else asked
-    if count < wanted and not (many and not settings.ray_count):
+    if count < room.asked and not (many and not settings.ray_count):
         made.warnings.append(
-            f"ray_count was reduced from {wanted * workers:,} to {count * workers:,}: {device.alias} has not enough "
-            "free memory"
+            f"ray_count was reduced from {room.asked * workers:,} to {count * workers:,}: {device.alias} has not "
+            "enough free memory"
         )
     elif fewer := fewer_alive(settings.ray_count, workers, areas, sample_count):
         made.warnings.append(fewer)
     return made
 
 
-def _why_so_many(is_cuda: bool, many: bool, in_turns: bool) -> str:
+def _why_so_many(is_cuda: bool, many: bool, workers: int) -> str:
     if many:
         return "as many as memory and the samples of a tile allow: all that is brought in serves more of them"
-    if in_turns:
-        return "as many as an eighth of the free memory allows: the more there are, the less the device waits"
-    return "some times what keeps the device busy" if is_cuda else "a wave stays within the outer caches"
+    if not is_cuda:
+        return "a wave stays within the outer caches"
+    if workers > 1:
+        return "as many as a tile has, in an eighth of the free memory at most: with more of them launches are fewer"
+    return "some times what keeps the device busy"
 
 
 def in_image_tiles(scene: DeviceScene) -> bool:
@@ -184,24 +178,44 @@ def brings_in(scene: DeviceScene) -> bool:
 
 
 def launches_in_turns(scene: DeviceScene, frame: Frame, settings: RenderSettings) -> bool:
-    """Whether several workers may share a CUDA device: no ray waits for others, nothing is timed or counted, and how
-    many paths are alive is left open.
+    """Whether two workers may share a CUDA device: no ray waits for others, nothing is timed or counted, and there are
+    to be as many paths as keep two busy, or their number is left open.
     """
-    if not scene.device.is_cuda or settings.ray_count or settings.schedule != "WAVEFRONT":
+    if not scene.device.is_cuda or settings.schedule != "WAVEFRONT":
+        return False
+    if 0 < settings.ray_count < CUDA_WORKERS * CUDA_RAYS:
         return False
     waits = scene.tracing.waits or in_image_tiles(scene)
     return not waits and scene.tracing.counters(settings, frame.passes) is None
+
+
+def _room_in_turns(
+    scene: DeviceScene, frame: Frame, settings: RenderSettings, areas: Sequence[int], sample_count: int
+) -> _Room | None:
+    """For two workers of a CUDA device; None where it has one, which is faster with few paths: the picture has one
+    tile, or two would not have what keeps a device busy within their share of the free memory.
+    """
+    if len(areas) < CUDA_WORKERS:
+        return None
+    room = _room(scene, frame, settings, areas, sample_count, CUDA_WORKERS)
+    if settings.ray_count:
+        return room
+    budget = min(room.budget, int(free_memory(scene.device) * ROOM_SHARE) // CUDA_WORKERS)
+    if room.asked * room.path_bytes > budget:
+        return None
+    most = min(max(areas) * sample_count, CUDA_RAYS_MOST)
+    paths = max(room.asked, reduced_path_count(most, room.path_bytes, budget))
+    return replace(room, asked=paths, paths=paths)
 
 
 def _room(
     scene: DeviceScene, frame: Frame, settings: RenderSettings, areas: Sequence[int], sample_count: int, workers: int
 ) -> _Room:
     """What there is room for with so many `workers`."""
-    device, in_tiles, in_turns = scene.device, in_image_tiles(scene), launches_in_turns(scene, frame, settings)
+    device, in_tiles = scene.device, in_image_tiles(scene)
     unfiltered = in_tiles and scene.tracing.method is not Method.PAGED and not scene.features.texture_levels
     alive = paths_a_worker(settings, workers, device.is_cuda, brings_in(scene), unfiltered)
-    # no tile needs more paths than it has samples
-    asked = min(CUDA_RAYS_MOST if in_turns else alive, max(areas) * sample_count)
+    asked = min(alive, max(areas) * sample_count)  # no tile needs more paths than it has samples
     each = path_bytes(scene, frame, settings, asked)
     layout, slots, slot_bytes = layout_of(frame.passes, frame.transparent), 0, 0  # of tiles of images
     if in_tiles:
@@ -218,12 +232,8 @@ def _room(
     if scene.hits_sorted_by(settings):
         sorting += hit_order_bytes(asked)
     other = tile_bytes + slots * slot_bytes + sorting + SPILL_BYTES
-    free = free_memory(device)
-    budget = max(0, int(free * PATH_MEMORY_SHARE) // workers - other)
-    if in_turns:
-        count = paths_that_fit(asked, each, budget, int(free * ROOM_SHARE) // workers)
-    else:
-        count = reduced_path_count(asked, each, budget)
+    budget = max(0, int(free_memory(device) * PATH_MEMORY_SHARE) // workers - other)
+    count = reduced_path_count(asked, each, budget)
     return _Room(workers, asked, count, each, other_bytes=other, budget=budget, slots=slots)
 
 

@@ -14,7 +14,6 @@ import warp as wp
 
 from ...bvh.traverse.counts import NO_COUNTS
 from ...device.devices import load_module
-from ...device.launches import LaunchTurns
 from ...film.tile import FilmTile, FinishedTile
 from ...scene.description import Frame
 from ...scene.passes import matte_kinds
@@ -51,16 +50,10 @@ class StreamingIntegrator(TileIntegrator):
     traces_lists = False
 
     def __init__(
-        self,
-        scene: DeviceScene,
-        frame: Frame,
-        settings: RenderSettings,
-        marks: WaterMarks,
-        tile_slots: int = 0,
-        turns: LaunchTurns | None = None,
+        self, scene: DeviceScene, frame: Frame, settings: RenderSettings, marks: WaterMarks, tile_slots: int = 0
     ):
-        """`tile_slots` is 0: all images are whole (`plan/schedule.py`). There are no `turns`: its launches are long."""
-        super().__init__(scene, frame, settings, marks, tile_slots, turns)
+        """`tile_slots` is 0: all images are whole (`plan/schedule.py`)."""
+        super().__init__(scene, frame, settings, marks, tile_slots)
         device, count, batches = self.device, self.path_count, scene.treelets
         slot_count = self._rays.origin.size
         warps = self._warp_count(settings)

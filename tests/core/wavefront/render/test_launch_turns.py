@@ -1,5 +1,6 @@
 """Workers of one device that launch in turns: here those of a CPU, too, stand for those of a GPU."""
 
+import contextlib
 import threading
 
 import pytest
@@ -26,6 +27,7 @@ def in_turns(monkeypatch):
     """
     monkeypatch.setattr(workers, "launches_in_turns", lambda scene, frame, settings: not settings.ray_count)
     monkeypatch.setattr(workers, "CUDA_RAYS_MOST", 64)
+    monkeypatch.setattr(workers, "paths_a_worker", lambda settings, *_: settings.ray_count or 64)
 
 
 @pytest.mark.parametrize(
@@ -41,29 +43,43 @@ def test_the_film_is_that_of_one_worker(session, changed):
     assert film.statistics["schedule"]["ray_count"] == 2 * 64
 
 
-def test_launches_of_a_turn_lie_side_by_side(session, monkeypatch):
-    whose, launch, strange, launches = [None], RepeatedLaunches.launch, [], set()
-    enter, leave = LaunchTurns.__enter__, LaunchTurns.__exit__
+class Held(LaunchTurns):
+    """Turns that know whose they are; None: nobody's."""
 
-    def entered(self):
-        enter(self)
-        whose[0] = threading.get_ident()
+    whose: int | None = None
 
-    def left(self, *error):
-        whose[0] = None
-        leave(self, *error)
+    def __enter__(self):
+        super().__enter__()
+        self.whose = threading.get_ident()
+
+    def __exit__(self, *error):
+        self.whose = None
+        super().__exit__(*error)
+
+    @contextlib.contextmanager
+    def left(self):
+        self.whose = None
+        with super().left():
+            yield
+        self.whose = threading.get_ident()
+
+
+def test_all_launches_are_of_whoever_has_the_turn(session, monkeypatch):
+    made, strange, launches, launch = [], [], set(), RepeatedLaunches.launch
+
+    def make():
+        made.append(Held())
+        return made[-1]
 
     def launched(self, *inputs):
         launches.add(threading.get_ident())
-        if whose[0] not in (threading.get_ident(), None):  # None: the turn was left while lengths were on their way
-            strange.append(threading.get_ident())
+        strange.extend(each for each in [made[-1].whose] if each != threading.get_ident())
         launch(self, *inputs)
 
-    monkeypatch.setattr(LaunchTurns, "__enter__", entered)
-    monkeypatch.setattr(LaunchTurns, "__exit__", left)
+    monkeypatch.setattr(workers, "LaunchTurns", make)
     monkeypatch.setattr(RepeatedLaunches, "launch", launched)
     session.render(scenes.mixed(FRAME), IN_TURNS)
-    assert len(launches) == 2 and not strange
+    assert len(made) == 1 and len(launches) == 2 and not strange
 
 
 def test_a_worker_that_waits_lets_the_other_launch(session, monkeypatch):

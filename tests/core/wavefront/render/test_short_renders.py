@@ -19,7 +19,8 @@ from tests.support.under_test import DEVICE
 pytestmark = pytest.mark.usefixtures("general_kernels")
 
 FRAME = scenes.Frame(24, 20)
-SETTINGS = RenderSettings(device=DEVICE, sample_count=2, bounce_max=2, tile_size=6, thread_count=1)
+# one worker, on a GPU too
+SETTINGS = RenderSettings(device=DEVICE, sample_count=2, bounce_max=2, tile_size=6, thread_count=1, ray_count=1000)
 
 
 @pytest.fixture

@@ -68,20 +68,20 @@ def parted(devices: int, spread: float, seed: int, tiles_a_device: int = 16) -> 
     random, workers = np.random.default_rng(seed), 2 * devices
     seconds = np.exp(random.normal(0.0, spread, tiles_a_device * devices))  # of a sample
     left, parts, policy = [SAMPLES] * len(seconds), [0] * len(seconds), TileParts()
-    deal = Deal((tile, None) for tile in range(len(seconds)))
+    deal = Deal((tile, None, math.inf) for tile in range(len(seconds)))
     free, ends = [(0.0, worker, None) for worker in range(workers)], []
     while free:
         now, worker, done = heapq.heappop(free)
         place = worker // 2
         if done is not None and left[done]:
-            deal.put_back(done, place, policy.seconds(done, left[done]))
+            deal.put_back(done, place, policy.seconds(done, left[done] * PIXELS))
         tile = deal.take(place)
         if tile is None:
             ends.append(now)
             continue
         samples = policy.samples(tile, left[tile], PIXELS, LEFT_SHARE / workers * sum(left))
         assert 1 <= samples <= left[tile] and samples * PIXELS >= min(PART_LEAST, left[tile] * PIXELS)
-        policy.note(tile, samples, samples * seconds[tile])
+        policy.note(tile, samples * PIXELS, samples * seconds[tile])
         left[tile] -= samples
         parts[tile] += 1
         heapq.heappush(free, (now + samples * seconds[tile], worker, tile))
@@ -103,8 +103,8 @@ def test_the_first_part_is_short_and_the_rest_long_as_long_as_much_is_left():
     policy = TileParts()
     assert policy.seconds("tile", 100) == math.inf
     assert policy.samples("tile", SAMPLES, PIXELS, 10.0 * SAMPLES) == SAMPLES // 4
-    policy.note("tile", 256, 2.0)
-    assert policy.seconds("tile", 768) == 6.0
+    policy.note("tile", 256 * PIXELS, 2.0)
+    assert policy.seconds("tile", 768 * PIXELS) == 6.0
     assert policy.samples("tile", 768, PIXELS, 10.0 * SAMPLES) == 768
     assert policy.samples("tile", 768, PIXELS, 200.0) == 200
     # no part is shorter than what is worth it, and no rest

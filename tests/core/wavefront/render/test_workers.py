@@ -8,9 +8,12 @@ from raybatch_addon.core.job import Job
 from raybatch_addon.core.scene.description import Frame
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
+from raybatch_addon.core.wavefront.integrator import TileIntegrator
 from raybatch_addon.core.wavefront.plan.plan import Method
-from raybatch_addon.core.wavefront.render.steps import TileParts
+from raybatch_addon.core.wavefront.render import workers
+from raybatch_addon.core.wavefront.render.steps import TileParts, TileSteps
 from raybatch_addon.core.wavefront.render.workers import fewer_alive, launches_in_turns
+from raybatch_addon.core.wavefront.scheduler import CUDA_RAYS, CUDA_RAYS_MOST
 from tests.support import scenes
 
 
@@ -95,20 +98,23 @@ def on_cuda(**changes):
         ({"waits": True}, {}),
         ({"counts": "steps"}, {}),
         ({"fetches": "programs", "images": SimpleNamespace(tiled="tiles")}, {}),
-        ({}, {"ray_count": 1 << 20}),
+        ({}, {"ray_count": 2 * CUDA_RAYS - 1}),
         ({}, {"schedule": "STREAMING"}),
     ],
 )
 def test_a_gpu_has_two_workers_unless_rays_wait_or_are_counted(scene, settings):
     frame = Frame(32, 32)
     assert launches_in_turns(on_cuda(), frame, RenderSettings())
+    assert launches_in_turns(on_cuda(), frame, RenderSettings(ray_count=2 * CUDA_RAYS))
     assert not launches_in_turns(on_cuda(**scene), frame, RenderSettings(**settings))
 
 
 def test_tiles_are_rendered_in_parts_by_several_gpus():
     def parts(devices, **changes):
-        changes = {"method": Method.UNBATCHED, "fetch_program": None, "sample_order": "FRAME_FIRST"} | changes
+        usual = {"method": Method.UNBATCHED, "fetch_program": None, "sample_order": "FRAME_FIRST", "steps": None}
+        changes = usual | changes
         job = SimpleNamespace(
+            steps=changes["steps"],
             plan=SimpleNamespace(method=changes["method"]),
             features=SimpleNamespace(fetch_program=changes["fetch_program"]),
             settings=SimpleNamespace(sample_order=changes["sample_order"]),
@@ -117,5 +123,70 @@ def test_tiles_are_rendered_in_parts_by_several_gpus():
 
     assert isinstance(parts([True, True]), TileParts)
     assert parts([True]) is parts([False, False]) is parts([True, False]) is None
-    for changes in ({"method": Method.PAGED}, {"fetch_program": "program"}, {"sample_order": "PIXEL_FIRST"}):
+    others = {"method": Method.PAGED}, {"fetch_program": "program"}, {"sample_order": "PIXEL_FIRST"}
+    for changes in (*others, {"steps": TileSteps()}):
         assert parts([True, True], **changes) is None
+
+
+def full(monkeypatch, times):
+    """The device has no memory for so many integrators; how many were tried."""
+    tried, make = [], TileIntegrator.__init__
+
+    def made(self, *inputs):
+        tried.append(inputs[3].path_count)
+        if len(tried) <= times:
+            raise RuntimeError("Failed to allocate 123 bytes on device 'cuda:0'")
+        make(self, *inputs)
+
+    monkeypatch.setattr(TileIntegrator, "__init__", made)
+    return tried
+
+
+SCENE = scenes.scene([(scenes.sphere(), scenes.IDENTITY, scenes.diffuse())], frame=Frame(32, 32), world=1.0)
+
+
+def test_where_memory_runs_out_there_are_fewer_paths(device, monkeypatch):
+    tried = full(monkeypatch, 2)
+    settings = RenderSettings(sample_count=2, tile_size=32, thread_count=1)
+    film = Session(device).render(SCENE, settings)
+    assert tried == [2048, 1024, 512] and film.complete
+    assert film.statistics["schedule"]["ray_count"] == 512
+    assert any("reduced from 2,048 to 512" in text for text in film.statistics["warnings"])
+
+
+def test_where_memory_runs_out_for_two_workers_there_is_one(device, monkeypatch):
+    monkeypatch.setattr(workers, "launches_in_turns", lambda *_: True)
+    tried = full(monkeypatch, 2)
+    film = Session(device).render(SCENE, RenderSettings(sample_count=2, tile_size=16, thread_count=1))
+    assert tried == [512, 256, 128] and film.complete
+    assert film.statistics["schedule"]["workers"] == 1
+
+
+def test_other_errors_are_no_want_of_memory(device, monkeypatch):
+    def made(self, *_):
+        raise RuntimeError("this is wrong")
+
+    monkeypatch.setattr(TileIntegrator, "__init__", made)
+    with pytest.raises(RuntimeError, match="this is wrong"):
+        Session(device).render(SCENE, RenderSettings(sample_count=2))
+
+
+@pytest.mark.parametrize(
+    ("free", "expected"),
+    [
+        (1 << 40, (2, CUDA_RAYS_MOST)),
+        (16 * 3 * CUDA_RAYS * 300, (2, 2 * CUDA_RAYS)),
+        (16 * CUDA_RAYS * 300, (2, CUDA_RAYS)),
+        (16 * CUDA_RAYS * 300 - 16, None),
+    ],
+)
+def test_two_workers_have_what_an_eighth_of_the_memory_holds(monkeypatch, free, expected):
+    room = workers._Room(2, CUDA_RAYS, CUDA_RAYS, 300, other_bytes=0, budget=1 << 50, slots=0)
+    monkeypatch.setattr(workers, "_room", lambda *_: room)
+    monkeypatch.setattr(workers, "free_memory", lambda _: free)
+    scene = SimpleNamespace(device=None)
+    found = workers._room_in_turns(scene, Frame(8192, 8192), RenderSettings(), [1 << 24] * 4, 64)
+    assert (found and (found.workers, found.paths)) == expected
+    assert workers._room_in_turns(scene, Frame(8192, 8192), RenderSettings(), [1 << 24], 64) is None, "one tile"
+    found = workers._room_in_turns(scene, Frame(8192, 8192), RenderSettings(ray_count=1 << 25), [1 << 24] * 4, 64)
+    assert found is room, "as asked for"
