@@ -53,7 +53,8 @@ def _estimate(context, settings: RenderSettings, statistics: dict[str, Any] | No
         statistics["schedule"] if statistics and statistics["device"]["alias"].startswith("cuda") == is_cuda else {}
     )
     workers = 1 if is_cuda else settings.thread_count or schedule.get("workers") or os.cpu_count() or 1
-    path_count = settings.ray_count or schedule.get("ray_count") or workers * paths_a_worker(settings, workers, is_cuda)
+    alive = schedule.get("ray_count", 0) // len(statistics.get("devices") or [1]) if statistics and schedule else 0
+    path_count = settings.ray_count or alive or workers * paths_a_worker(settings, workers, is_cuda)
     path_bytes = schedule.get("bytes_per_path") or bytes_per_path(_features(context))
     tree = statistics.get("tree") if statistics and schedule else None
     instances = statistics.get("instances", 0) if statistics and schedule else 0

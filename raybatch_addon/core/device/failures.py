@@ -65,7 +65,7 @@ def named_failures(device: wp.Device) -> Iterator[None]:
 def lacks_memory(error: BaseException) -> bool:
     """Whether `error` says that memory ran out, on the host or on a device."""
     text = str(error).lower()
-    return isinstance(error, MemoryError) or "memory" in text or _NO_MEMORY in text
+    return isinstance(error, MemoryError) or "out of memory" in text or _NO_MEMORY in text
 
 
 def check_device(device: wp.Device) -> None:

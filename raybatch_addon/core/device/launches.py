@@ -58,10 +58,10 @@ class NoTurns:
 class LaunchTurns(NoTurns):
     """Workers of one CUDA device, each on its own thread, launch in turns: `with turns: ...`.
 
-    All launches of a device go to one stream. What a worker launches in its turn lies there side by side, so that times
-    between its events are its own but for what other threads copy meanwhile, and memory that the device has once for
-    all, as for sorting, is used by one at a time. While it waits for the device, as in `with turns.left(): ...`,
-    another one launches: the device has work meanwhile, whatever the host does.
+    All launches of a device go to one stream. What a worker launches in its turn lies there side by side: times between
+    its events are its own, but for copies and pictures of other threads, and memory that the device has once for all,
+    as for sorting, is used by one at a time. While it waits for the device, as in `with turns.left(): ...`, another one
+    launches: the device has work meanwhile, whatever the host does.
     """
 
     def __init__(self) -> None:

@@ -1,15 +1,17 @@
 """Tiles that are rendered in parts, as several GPUs do: here by the workers of one device."""
 
 from collections import Counter
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from raybatch_addon.core.job import Job
-from raybatch_addon.core.wavefront.integrator import TileIntegrator
 from raybatch_addon.core.wavefront.render import rendering, steps
 from raybatch_addon.core.wavefront.render.deal import Deal
 from raybatch_addon.core.wavefront.render.steps import TileParts
+from raybatch_addon.core.wavefront.scheduler import Rectangle
+from raybatch_addon.core.wavefront.tile_state import TileState
 from tests.support import scenes
 from tests.support.watched_renders import FRAME, SETTINGS, assert_same_film, stopping
 
@@ -88,26 +90,21 @@ def test_what_took_long_in_one_round_is_first_in_the_next(session, parts, monkey
     assert all(0.0 < seconds < np.inf for round_ in dealt[1:] for _, _, seconds in round_)
 
 
-def test_what_others_have_taken_is_left_to_nobody(session, parts, monkeypatch):
-    """Shares are of what nobody has taken: together parts under way and what is left are all that was to be begun."""
-    step_end, found = rendering.Rendering._step_end, []
-
-    def noted(self, integrator: TileIntegrator, halves):
-        share, inner = [], self._parts.samples
-
-        def samples(tile, left, pixels, its):
-            share.append(its * pixels * len(self._integrators) / steps.LEFT_SHARE)
-            return inner(tile, left, pixels, its)
-
-        monkeypatch.setattr(self._parts, "samples", samples)
-        before = self._state.items_open
-        end = step_end(self, integrator, halves)
-        monkeypatch.setattr(self._parts, "samples", inner)
-        found.append((before, share[0], len(self._taken)))
-        return end
-
-    monkeypatch.setattr(rendering.Rendering, "_step_end", noted)
-    session.render(scenes.mixed(FRAME), WHOLE)
-    assert found[0][0] == found[0][1] == FRAME.pixel_count * WHOLE.sample_count
-    assert all(left <= before for before, left, _ in found)
-    assert any(left < before for before, left, taken in found if taken > 1)
+def test_what_others_have_taken_is_left_to_nobody(monkeypatch):
+    """A worker's share is of what nobody has begun, and nobody has taken to begin."""
+    parts, asked = TileParts(), []
+    monkeypatch.setattr(parts, "samples", lambda tile, left, pixels, share: asked.append(share * pixels) or 1)
+    tiles = [(TileState(Rectangle(8 * i, 0, 8, 8)),) for i in range(4)]
+    state = SimpleNamespace(items_open=4 * 64 * 100 - 640, samples_of=lambda each: SimpleNamespace(sample_count=100))
+    render = SimpleNamespace(_steps=None, _parts=parts, _state=state, _integrators=["a", "b"], _taken={})
+    step_end = rendering.Rendering._step_end
+    assert step_end(render, "a", tiles[0]) == 1
+    assert render._taken == {"a": (tiles[0], 1)}
+    tiles[0][0].items_begun = 640  # of a part that goes to sample 30, and of a round that ends at 100
+    render._taken = {"a": (tiles[0], 30)}
+    step_end(render, "b", tiles[1])
+    render._taken = {"a": (tiles[0], 300)}
+    step_end(render, "b", tiles[1])
+    whole = state.items_open
+    expected = [whole, whole - (30 * 64 - 640), whole - (100 * 64 - 640)]
+    assert asked == pytest.approx([steps.LEFT_SHARE / 2 * each for each in expected])

@@ -294,7 +294,7 @@ class Rendering:
         pixels, left = max(sum(state.pixel_count for state in halves), 1), last - begun
         # what others have taken, and not begun yet, is left to nobody
         taken = sum(
-            max(0, end * each.pixel_count - each.items_begun)
+            max(0, min(end, self._state.samples_of(each).sample_count) * each.pixel_count - each.items_begun)
             for other, (its, end) in list(self._taken.items())
             for each in its
             if other is not integrator

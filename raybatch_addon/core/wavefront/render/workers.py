@@ -7,6 +7,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
+import warp as wp
+
 from ...device.devices import free_memory, worker_count
 from ...device.failures import lacks_memory
 from ...device.launches import LaunchTurns
@@ -121,13 +123,13 @@ def make_workers(
     if room is None:
         workers = min(worker_count(device, settings.thread_count), settings.ray_count or len(areas), len(areas))
         room = _room(scene, frame, settings, areas, sample_count, workers)
-    if room.paths == 0:
-        raise OutOfMemoryError(
-            f"{device.alias} has {room.budget * room.workers:,} bytes left for rays beside the film's tiles, and one "
-            f"path takes {room.path_bytes}; close other programs, lower tile_size, or render a smaller scene"
-        )
     worker, turns = worker_class(settings), (LaunchTurns(),) if in_turns and room.workers > 1 else ()
     while not made.integrators:
+        if room.paths == 0:
+            raise OutOfMemoryError(
+                f"{device.alias} has {room.budget * room.workers:,} bytes left for rays beside the film's tiles, and "
+                f"one path takes {room.path_bytes}; close other programs, lower tile_size, or render a smaller scene"
+            )
         try:
             its = scene, frame, settings, water_marks(settings, room.paths), room.slots
             made.integrators = [worker(*its, *turns) for _ in range(room.workers)]
@@ -135,8 +137,12 @@ def make_workers(
             if room.paths == 1 or not lacks_memory(error):
                 raise
         if not made.integrators:  # behind the error, which keeps alive what was allocated
-            room = _room(scene, frame, settings, areas, sample_count, 1) if turns else room
-            room, turns = replace(room, paths=max(1, room.paths // 2)), ()
+            tried = room.paths
+            if turns:
+                if device.is_cuda:
+                    wp.synchronize_device(device)  # what was allocated is given back
+                room, turns = _room(scene, frame, settings, areas, sample_count, 1), ()
+            room = replace(room, paths=min(room.paths, max(1, tried // 2)))
     workers, count = room.workers, room.paths
     made.path_bytes, made.worker_bytes = room.path_bytes, count * room.path_bytes + room.other_bytes
     if not settings.ray_count:
@@ -163,7 +169,7 @@ def _why_so_many(is_cuda: bool, many: bool, workers: int) -> str:
     if not is_cuda:
         return "a wave stays within the outer caches"
     if workers > 1:
-        return "as many as a tile has, in an eighth of the free memory at most: with more of them launches are fewer"
+        return "up to 16,777,216 of each worker, as far as a tile has them and an eighth of the free memory holds them"
     return "some times what keeps the device busy"
 
 
@@ -199,7 +205,7 @@ def _room_in_turns(
         return None
     room = _room(scene, frame, settings, areas, sample_count, CUDA_WORKERS)
     if settings.ray_count:
-        return room
+        return room if room.paths >= min(room.asked, CUDA_RAYS) else None
     budget = min(room.budget, int(free_memory(scene.device) * ROOM_SHARE) // CUDA_WORKERS)
     if room.asked * room.path_bytes > budget:
         return None
