@@ -100,8 +100,7 @@ class Job:
         active = first_active(self.scene.frame, settings, self.sample_first, after, device)
         x0, y0, x1, y1 = self.scene.frame.region
         workers = sum(worker_count(each, settings.thread_count) for each in devices)
-        in_tiles = bool(self.features.fetch_program)
-        many = serves_many(self.plan.method is Method.PAGED, in_tiles, device.is_cuda)
+        many = self._serves_many(device)
         choose_edge = step_tile_edge if self.steps else round_tile_edge if policy.is_cut else tile_edge
         edge = choose_edge(settings, device.is_cuda, x1 - x0, y1 - y0, workers, many)
         if not settings.tile_size:
@@ -185,13 +184,16 @@ class Job:
         wanted = settings.tile_order == "PROGRESSIVE" and settings.sample_order == "FRAME_FIRST" and not paged
         return TileSteps() if wanted else None
 
+    def _serves_many(self, device: wp.Device) -> bool:
+        """Whether what is brought to `device` is to serve many rays."""
+        return serves_many(self.plan.method is Method.PAGED, bool(self.features.fetch_program), device.is_cuda)
+
     def tile_parts(self, devices: Sequence[wp.Device]) -> TileParts | None:
         """Where several CUDA `devices` are to come to the end together; None: tiles are not rendered in parts, but in
         steps or whole. What is brought in, as pages of geometry are, serves all samples at once.
         """
         several = len(devices) > 1 and all(each.is_cuda for each in devices)
-        brings_in = self.plan.method is Method.PAGED or bool(self.features.fetch_program)
-        whole = self.steps or brings_in or self.settings.sample_order != "FRAME_FIRST"
+        whole = self.steps or self._serves_many(devices[0]) or self.settings.sample_order != "FRAME_FIRST"
         return TileParts() if several and not whole else None
 
     @property

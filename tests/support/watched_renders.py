@@ -45,6 +45,11 @@ class Watcher(RenderObserver):
         return [snapshot.samples for snapshot in self.got]
 
 
+def box_of(tile) -> tuple[int, int, int, int]:
+    """Where a tile that is shown, or rendered, is."""
+    return tile.x, tile.y, tile.width, tile.height
+
+
 def assert_same(passes, expected):
     assert passes.keys() == expected.keys()
     for name in expected:

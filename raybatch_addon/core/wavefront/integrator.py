@@ -163,13 +163,7 @@ class TileIntegrator:
         count = done + (state.held.sample_count if state.held else 0)
         with self._timer.stage("transfer"):
             finished = state.held = FinishedTile(
-                (tile.x, tile.y, tile.width, tile.height),
-                film,
-                self._layout,
-                self._frame.passes,
-                count,
-                self._cost,
-                self._mattes,
+                tile.box, film, self._layout, self._frame.passes, count, self._cost, self._mattes
             )
         self.invalid_samples += finished.invalid
         self.tail_seconds = time.perf_counter() - tail_from if tail_from else 0.0

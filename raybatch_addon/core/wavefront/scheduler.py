@@ -56,6 +56,11 @@ class Rectangle:
         """Area [pixels]."""
         return self.width * self.height
 
+    @property
+    def box(self) -> tuple[int, int, int, int]:
+        """x, y, width and height."""
+        return self.x, self.y, self.width, self.height
+
 
 @dataclass(frozen=True)
 class WaterMarks:

@@ -13,7 +13,7 @@ from raybatch_addon.core.wavefront.render.steps import TileParts
 from raybatch_addon.core.wavefront.scheduler import Rectangle
 from raybatch_addon.core.wavefront.tile_state import TileState
 from tests.support import scenes
-from tests.support.watched_renders import FRAME, SETTINGS, assert_same_film, stopping
+from tests.support.watched_renders import FRAME, SETTINGS, assert_same_film, box_of, stopping
 
 pytestmark = pytest.mark.usefixtures("general_kernels")
 
@@ -32,10 +32,6 @@ def parts(monkeypatch):
     """Renders are in parts, however few paths there are."""
     monkeypatch.setattr(Job, "tile_parts", lambda self, devices: TileParts())
     monkeypatch.setattr(steps, "PART_LEAST", 1)
-
-
-def box_of(tile) -> tuple[int, int, int, int]:
-    return tile.x, tile.y, tile.width, tile.height
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -97,6 +93,7 @@ def test_what_others_have_taken_is_left_to_nobody(monkeypatch):
     tiles = [(TileState(Rectangle(8 * i, 0, 8, 8)),) for i in range(4)]
     state = SimpleNamespace(items_open=4 * 64 * 100 - 640, samples_of=lambda each: SimpleNamespace(sample_count=100))
     render = SimpleNamespace(_steps=None, _parts=parts, _state=state, _integrators=["a", "b"], _taken={})
+    render._items_taken = lambda integrator: rendering.Rendering._items_taken(render, integrator)
     step_end = rendering.Rendering._step_end
     assert step_end(render, "a", tiles[0]) == 1
     assert render._taken == {"a": (tiles[0], 1)}

@@ -17,6 +17,7 @@ from tests.support.watched_renders import (  # noqa: F401 (`halves_film` is the 
     SETTINGS,
     Watcher,
     assert_same,
+    box_of,
     halves_film,
     rounded_anew,
     stopping,
@@ -43,10 +44,6 @@ def steps_of_one_sample(monkeypatch):
 @pytest.fixture(scope="module")
 def plain(session) -> Film:
     return session.render(scenes.mixed(FRAME), SETTINGS)
-
-
-def box_of(tile) -> tuple[int, int, int, int]:
-    return tile.x, tile.y, tile.width, tile.height
 
 
 @pytest.mark.parametrize("way", WAYS)

@@ -266,47 +266,51 @@ class Rendering:
         if done := integrator.items_done - before:
             integrator.seconds_a_path = (joined - start) / done
         tile = finished[0] if len(finished) == 1 else FinishedTile.sum_of(*finished)
-        watched = self._steps or self._parts
-        if watched and begun != (now := [state.items_begun for state in halves]) and not stop():
-            end = time.perf_counter()
+        if not (self._steps or self._parts) or begun == (now := [state.items_begun for state in halves]) or stop():
+            return tile
+        end = time.perf_counter()
+        if self._parts:
+            self._parts.note(tile.rectangle, sum(now) - sum(begun), end - start)
+        else:
             samples = max((b - a) / max(each.pixel_count, 1) for a, b, each in zip(begun, now, halves, strict=True))
-            if self._steps:
-                self._steps.note(tile.rectangle, samples, end - start, tail_seconds + end - joined)
-            elif self._parts:
-                self._parts.note(tile.rectangle, sum(now) - sum(begun), end - start)
+            self._steps.note(tile.rectangle, samples, end - start, tail_seconds + end - joined)
         return tile
 
     def _seconds_left(self, halves: Sequence[TileState]) -> float:
         """What is left of a tile's round takes; inf where that is not known, or does not matter."""
         if not self._parts:
             return math.inf
-        return self._parts.seconds(_rectangle(halves), self._state.items_left_of(halves))
+        return self._parts.seconds(halves[0].tile.box, self._state.items_left_of(halves))
+
+    def _items_taken(self, integrator: TileIntegrator) -> int:
+        """Paths that are in parts of others than `integrator`, and not begun yet."""
+        state = self._state
+        return sum(
+            max(0, min(end, state.samples_of(each).sample_count) * each.pixel_count - each.items_begun)
+            for other, (halves, end) in list(self._taken.items())
+            for each in halves
+            if other is not integrator
+        )
 
     def _step_end(self, integrator: TileIntegrator, halves: Sequence[TileState]) -> int:
         """Samples of the round that each half of a tile has when it is shown: the same for all, wherever a stop left
         them. Tiles of images come to a GPU anew in each step, so all but the first have as many paths as wait together.
         """
-        rectangle = _rectangle(halves)
+        box = halves[0].tile.box
         last = max(self._state.samples_of(state).sample_count for state in halves)
         if not (self._steps or self._parts):
             return last
         begun = min(state.items_begun // max(state.pixel_count, 1) for state in halves)
         pixels, left = max(sum(state.pixel_count for state in halves), 1), last - begun
-        # what others have taken, and not begun yet, is left to nobody
-        taken = sum(
-            max(0, min(end, self._state.samples_of(each).sample_count) * each.pixel_count - each.items_begun)
-            for other, (its, end) in list(self._taken.items())
-            for each in its
-            if other is not integrator
-        )
-        share = LEFT_SHARE / len(self._integrators) * max(self._state.items_open - taken, 0) / pixels
+        open_to_all = max(self._state.items_open - self._items_taken(integrator), 0)
+        share = LEFT_SHARE / len(self._integrators) * open_to_all / pixels
         if self._parts:
-            end = begun + self._parts.samples(rectangle, left, pixels, share)
+            end = begun + self._parts.samples(box, left, pixels, share)
             self._taken[integrator] = halves, end
             return end
         waits = begun > 0 and integrator.textures is not None and integrator.device.is_cuda
         together = integrator.path_count // pixels if waits else 0
-        samples = self._steps.samples(rectangle, left, share)
+        samples = self._steps.samples(box, left, share)
         return begun + max(samples, min(together, left))
 
     def _hand_out(self, tile: FinishedTile) -> None:
@@ -371,12 +375,6 @@ class Rendering:
                     },
                 )
             )
-
-
-def _rectangle(halves: Sequence[TileState]) -> tuple[int, int, int, int]:
-    """As tiles have it that are finished."""
-    tile = halves[0].tile
-    return tile.x, tile.y, tile.width, tile.height
 
 
 def _colors(film: Film) -> np.ndarray:

@@ -235,7 +235,7 @@ def film_to_fill(
     tiles = []
     for halves in state.tiles:
         tile = halves[0].tile
-        held = resume.tile_on((tile.x, tile.y, tile.width, tile.height), device)
+        held = resume.tile_on(tile.box, device)
         film.add_tile(held)
         parts = held.halves or (held,)
         tiles.append(

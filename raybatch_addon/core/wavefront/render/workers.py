@@ -169,7 +169,8 @@ def _why_so_many(is_cuda: bool, many: bool, workers: int) -> str:
     if not is_cuda:
         return "a wave stays within the outer caches"
     if workers > 1:
-        return "up to 16,777,216 of each worker, as far as a tile has them and an eighth of the free memory holds them"
+        most = f"up to {CUDA_RAYS_MOST:,} of each worker"
+        return f"{most}, as far as a tile has them and an eighth of the free memory holds them"
     return "some times what keeps the device busy"
 
 

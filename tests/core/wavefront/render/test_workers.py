@@ -120,6 +120,7 @@ def test_tiles_are_rendered_in_parts_by_several_gpus():
             features=SimpleNamespace(fetch_program=changes["fetch_program"]),
             settings=SimpleNamespace(sample_order=changes["sample_order"]),
         )
+        job._serves_many = lambda device: Job._serves_many(job, device)
         return Job.tile_parts(job, [SimpleNamespace(is_cuda=each) for each in devices])
 
     assert isinstance(parts([True, True]), TileParts)
