@@ -22,8 +22,9 @@ class RepeatedLaunches:
     launched as it is; what was launched last is kept alive.
     """
 
-    def __init__(self, device: wp.Device):
-        self._device = device
+    def __init__(self, device: wp.Device, block_size: int = 0):
+        """`block_size`: threads of a block, in all launches (0: as each kernel asks for)."""
+        self._device, self._block_size = device, block_size
         self._kept: dict[wp.Kernel, _Kept] = {}
 
     def launch(self, kernel: wp.Kernel, count: int, *inputs: Any) -> None:
@@ -32,8 +33,8 @@ class RepeatedLaunches:
             return
         kept = self._kept.get(kernel)
         if kept is None:
-            options = {"block_dim": block_size_of(kernel)} if self._device.is_cuda else {}
-            command = wp.launch(kernel, count, list(inputs), device=self._device, record_cmd=True, **options)
+            block_dim = (self._block_size or block_size_of(kernel)) if self._device.is_cuda else 1
+            command = wp.launch(kernel, count, list(inputs), device=self._device, record_cmd=True, block_dim=block_dim)
             self._kept[kernel] = kept = _Kept(command, count, list(inputs))
         else:
             kept.change(count, inputs)

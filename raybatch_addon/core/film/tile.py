@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 import functools
+from collections.abc import Sequence
 
 import numpy as np
 import warp as wp
@@ -44,7 +45,7 @@ class FilmTile:
     object_index: wp.array(dtype=float)  # of the pixel's first sample
     material_index: wp.array(dtype=float)  # of the pixel's first sample
     mattes: MatteTile
-    invalid: wp.array(dtype=int)  # samples that were not finite and count as black, shape [1]
+    invalid: wp.array(dtype=int)  # samples of its worker that were not finite and count as black, shape [1]
     # Channels that did not fit the window while there were no wide digits
     spill_index: wp.array(dtype=int)
     spill_value: wp.array(dtype=float)
@@ -58,7 +59,9 @@ SPILL_CAPACITY = 1 << 16
 
 
 class FilmTiles:
-    """Makes the tiles of one worker; all of them share the arrays of what is set aside at the window's ends."""
+    """Makes the tiles of one worker; all of them share the arrays of what is set aside at the window's ends, and the
+    count of samples that were not finite.
+    """
 
     def __init__(
         self,
@@ -76,14 +79,21 @@ class FilmTiles:
         capacity = max(1, spill_capacity // layout.count) * layout.count
         self._spill_index = wp.zeros(capacity, dtype=int, device=device)
         self._spill_value = wp.zeros(capacity, dtype=float, device=device)
+        self._invalid = wp.zeros(1, dtype=int, device=device)
+
+    @property
+    def invalid_samples(self) -> int:
+        """Samples of all tiles that were not finite and count as black; waits for the device."""
+        return int(self._invalid.numpy()[0])
+
+    def begin_render(self) -> None:
+        """Invalid samples are counted from here on."""
+        self._invalid.zero_()
 
     def begin(self, pixel_count: int, earlier: FilmTile | None = None) -> FilmTile:
-        """A black tile, or `earlier`, to which more samples are added; of invalid samples only those to come are
-        counted.
-        """
+        """A black tile, or `earlier`, to which more samples are added."""
         if earlier is not None:
             tile = earlier
-            tile.invalid.zero_()
         else:
             tile = _black_tile(self._layout.count * pixel_count, self._device)
             tile.counts = wp.zeros(pixel_count, dtype=wp.int64, device=self._device)
@@ -93,7 +103,7 @@ class FilmTiles:
             tile.mattes = matte_tile(pixel_count, len(matte_kinds(self._passes)), self._device)
         tile.spill_index, tile.spill_value = self._spill_index, self._spill_value
         self._spill_count.zero_()
-        tile.spill_count = self._spill_count
+        tile.spill_count, tile.invalid = self._spill_count, self._invalid
         if self._mattes_aside is not None:
             tile.mattes.aside, tile.mattes.aside_count = self._mattes_aside, self._mattes_aside_count
             self._mattes_aside_count.zero_()
@@ -134,7 +144,6 @@ def _black_tile(cell_count: int, device: wp.Device) -> FilmTile:
     tile = FilmTile()
     tile.window = wp.zeros((WINDOW_DIGITS, cell_count), dtype=wp.int64, device=device)
     tile.wide = wp.zeros((0, 0), dtype=wp.int64, device=device)
-    tile.invalid = wp.zeros(1, dtype=int, device=device)
     return tile
 
 
@@ -226,10 +235,10 @@ class FinishedTile:
     ):
         """`rectangle` is x, y, width, height in the frame [pixels], `sample_count` the paths in it, `cost` (int64,
         shape [cost passes, pixels]) the sums of those cost passes that are in `pass_names`, in their order, `mattes`
-        those that are not in the slots of `film`. The picture is fetched at once."""
+        those that are not in the slots of `film`."""
         # the worker's own arrays, which the next tile needs and this one must not keep alive
-        film.spill_index, film.spill_value = (
-            wp.empty(0, dtype=dtype, device=film.window.device) for dtype in (int, float)
+        film.spill_index, film.spill_value, film.spill_count, film.invalid = (
+            wp.empty(0, dtype=dtype, device=film.window.device) for dtype in (int, float, int, int)
         )
         film.mattes.aside = wp.empty(0, dtype=MatteEntry, device=film.window.device)
         self.mattes = mattes or Mattes()
@@ -239,13 +248,29 @@ class FinishedTile:
         self.halves: tuple[FinishedTile, FinishedTile] | None = None  # what it is the sum of
         self.sample_count = sample_count
         self.x, self.y, self.width, self.height = rectangle
-        self.invalid = int(
-            film.invalid.numpy()[0]
-        )  # samples that were not finite, since the tile was begun or gone on with
         self._layout, self._pass_names = layout, pass_names
         self._cost_names = tuple(name for name in pass_names if name in COST_PASSES)
         self._first_names = tuple(name for name in pass_names if name in FIRST_SAMPLE_PASSES)
-        self.passes = self._picture(pass_names)
+        self._passes: dict[str, np.ndarray] | None = None
+
+    @property
+    def passes(self) -> dict[str, np.ndarray]:
+        """The picture, made when it is first asked for; to be asked for before the tile goes on."""
+        if self._passes is None:
+            self._passes = self._picture(self._pass_names)
+        return self._passes
+
+    def make_pictures(self) -> None:
+        """Make the picture now, and those of its halves."""
+        for each in (self, *(self.halves or ())):
+            _ = each.passes
+
+    @staticmethod
+    def of_halves(halves: Sequence[FinishedTile]) -> FinishedTile:
+        """The tile of all samples, with its pictures, where they are in one half or in two."""
+        tile = halves[0] if len(halves) == 1 else FinishedTile.sum_of(*halves)
+        tile.make_pictures()
+        return tile
 
     @staticmethod
     def sum_of(first: FinishedTile, second: FinishedTile) -> FinishedTile:
@@ -261,12 +286,12 @@ class FinishedTile:
         for array in FIRST_SAMPLE_ARRAYS.values():
             setattr(film, array, getattr(first.film, array))
         film.mattes = matte_tile(0, 0, film.window.device)
-        film.invalid, film.spill_count = (wp.zeros(1, dtype=int, device=film.window.device) for _ in range(2))
         cost = _added(first.cost, second.cost) if first.cost is not None else None
         count = first.sample_count + second.sample_count
         mattes = first._all_mattes().plus(second._all_mattes())
         tile = FinishedTile(first.rectangle, film, first._layout, first._pass_names, count, cost, mattes)
-        tile.halves, tile.invalid = (first, second), first.invalid + second.invalid
+        tile.make_pictures()
+        tile.halves = (first, second)
         tile.film = tile.cost = None
         return tile
 
@@ -288,7 +313,6 @@ class FinishedTile:
             dtype, values = FilmTile.vars[array].type.dtype, samples.first.get(name, np.zeros(0, np.float32))
             values = values.reshape(-1, 3) if dtype is wp.vec3 else values
             setattr(film, array, wp.array(values, dtype=dtype, device=device))
-        film.spill_count = wp.zeros(1, dtype=int, device=device)
         costs = [samples.cost[name] for name in pass_names if name in COST_PASSES]
         cost = wp.array(np.stack(costs), dtype=wp.int64, device=device) if costs else None
         kinds = len(matte_kinds(pass_names))

@@ -110,7 +110,8 @@ class TileIntegrator:
         self._limits = self._half_limits[0]
         if self._order:
             self._order.begin()
-        self.rays, self.invalid_samples, self._alive = RayTotals(), 0, 0
+        self.rays, self._alive = RayTotals(), 0
+        self._film_tiles.begin_render()
         begin_counts(self.volumes)
         if self.textures:
             self.textures.begin()
@@ -151,7 +152,7 @@ class TileIntegrator:
                 if self.patience > 0.0 or not stop():  # else paths are given up, whatever came back
                     self._shade(work, film, min(back, self._alive))
                     done += self._finish_paths(work, film, stopped_at is None and state.items_begun < items)
-        with self._turns:  # it is waited for once, not for each array behind another one's turn
+        with self._turns:
             return self._end_tile(state, film, done, tail_from)
 
     def _end_tile(self, state: TileState, film: FilmTile, done: int, tail_from: float | None) -> FinishedTile:
@@ -162,12 +163,11 @@ class TileIntegrator:
                 getattr(film, name).zero_()
         count = done + (state.held.sample_count if state.held else 0)
         with self._timer.stage("transfer"):
-            finished = state.held = FinishedTile(
-                tile.box, film, self._layout, self._frame.passes, count, self._cost, self._mattes
-            )
-        self.invalid_samples += finished.invalid
+            state.held = FinishedTile(tile.box, film, self._layout, self._frame.passes, count, self._cost, self._mattes)
+            if self._counters:
+                state.held.make_pictures()  # which is timed; else nobody waits for it in this turn
         self.tail_seconds = time.perf_counter() - tail_from if tail_from else 0.0
-        return finished
+        return state.held
 
     def use_kernels(self, kernels: StageKernels) -> None:
         """Go on with `kernels` of another tier, loaded already, from the next turn on. May be called on any thread."""
@@ -177,6 +177,11 @@ class TileIntegrator:
         """Give up what was captured for the device, after the last tile; called on the thread that made this."""
         if self._tracer:
             self._tracer.release()
+
+    @property
+    def invalid_samples(self) -> int:
+        """Samples of this render that were not finite and count as black; waits for the device."""
+        return self._film_tiles.invalid_samples
 
     # --- the steps, in the order of the loop
 

@@ -1,5 +1,7 @@
 """Tiles that are rendered in parts, as several GPUs do: here by the workers of one device."""
 
+import math
+import time
 from collections import Counter
 from types import SimpleNamespace
 
@@ -7,13 +9,14 @@ import numpy as np
 import pytest
 
 from raybatch_addon.core.job import Job
+from raybatch_addon.core.wavefront import integrator
 from raybatch_addon.core.wavefront.render import rendering, steps
 from raybatch_addon.core.wavefront.render.deal import Deal
 from raybatch_addon.core.wavefront.render.steps import TileParts
 from raybatch_addon.core.wavefront.scheduler import Rectangle
 from raybatch_addon.core.wavefront.tile_state import TileState
 from tests.support import scenes
-from tests.support.watched_renders import FRAME, SETTINGS, assert_same_film, box_of, stopping
+from tests.support.watched_renders import FRAME, SETTINGS, assert_same, assert_same_film, box_of, stopping
 
 pytestmark = pytest.mark.usefixtures("general_kernels")
 
@@ -34,32 +37,59 @@ def parts(monkeypatch):
     monkeypatch.setattr(steps, "PART_LEAST", 1)
 
 
+@pytest.fixture
+def begun(monkeypatch):
+    """The boxes of tiles, as workers begin to render them. One that was begun `most` times is not gone on with before the
+    render is to stop.
+    """
+    made, render = SimpleNamespace(boxes=[], most=math.inf), integrator.TileIntegrator.render
+
+    def noted(self, state, first, count, stop, items):
+        made.boxes.append(state.tile.box)
+        while made.boxes.count(state.tile.box) > made.most and not stop():
+            time.sleep(0.001)
+        return render(self, state, first, count, stop, items)
+
+    monkeypatch.setattr(integrator.TileIntegrator, "render", noted)
+    return made
+
+
 @pytest.mark.parametrize("way", WAYS)
-def test_the_film_is_that_of_whole_tiles(session, monkeypatch, request, way):
-    settings, shown = WHOLE.replace(**WAYS[way]), []
-    expected = session.render(scenes.mixed(FRAME), settings)
+def test_the_film_is_that_of_whole_tiles(session, begun, request, way):
+    settings, shown, rounds = WHOLE.replace(**WAYS[way]), [], []
+    expected = session.render(scenes.mixed(FRAME), settings, on_tile=rounds.append)
+    whole = Counter(begun.boxes)
+    begun.boxes.clear()
     request.getfixturevalue("parts")
     film = session.render(scenes.mixed(FRAME), settings, on_tile=shown.append)
     assert_same_film(film, expected)
     assert film.statistics["rays"] == expected.statistics["rays"]
-    shares = Counter(map(box_of, shown))
-    assert len(shares) == TILES and (way == "adaptive" or min(shares.values()) >= 2)
+    parts = Counter(begun.boxes)
+    assert len(parts) == TILES and (way == "adaptive" or all(parts[box] > whole[box] for box in parts))
+    assert Counter(map(box_of, shown)) == Counter(map(box_of, rounds))  # once a round, however many parts it had
 
 
-def test_a_part_is_a_picture_of_so_many_samples(session, request):
-    """Each picture of a tile that is shown is the one of a render of that many samples, and of more than the last."""
-    shown, pictures = {}, []
-    for samples in range(1, WHOLE.sample_count + 1):
-        pictures.append(session.render(scenes.mixed(FRAME), WHOLE.replace(sample_count=samples)))
-    request.getfixturevalue("parts")
-    session.render(
-        scenes.mixed(FRAME), WHOLE, on_tile=lambda tile: shown.setdefault(box_of(tile), []).append(tile.passes)
+@pytest.mark.parametrize("way", ["plain", "halves"])
+def test_parts_are_seen_where_a_render_is_stopped(session, begun, parts, way):
+    """When all tiles have their first parts it is cancelled: each is shown as a render of so many samples shows it."""
+    settings, shown = WHOLE.replace(**WAYS[way]), {}
+    begun.most = 1 + (way == "halves")
+    film = session.render(
+        scenes.mixed(FRAME),
+        settings,
+        on_tile=lambda tile: shown.setdefault(box_of(tile), tile.passes),
+        cancelled=lambda: len(begun.boxes) == TILES * begun.most + settings.thread_count,  # all workers wait
     )
-    for (x, y, width, height), its in shown.items():
-        known = [each.part(x, y, width, height)["Combined"] for each in pictures]
-        counts = [next(n for n, each in enumerate(known, 1) if np.array_equal(each, a["Combined"])) for a in its]
-        assert counts == sorted(set(counts)) and counts[-1] == WHOLE.sample_count
-        assert counts[0] <= max(1, WHOLE.sample_count // 4)
+    begun.most = math.inf
+    assert not film.complete and len(shown) == TILES
+    samples = int(film.counts.min())
+    assert 0 < samples == film.counts.max() < settings.sample_count
+    known = session.render(scenes.mixed(FRAME), settings.replace(sample_count=samples))
+    for box, passes in shown.items():
+        assert_same(passes, known.part(*box))
+    assert_same(film.passes, known.passes)
+    expected = session.render(scenes.mixed(FRAME), settings)
+    assert_same_film(session.render(scenes.mixed(FRAME), settings, resume=film), expected)
 
 
 @pytest.mark.parametrize("way", ["plain", "halves"])

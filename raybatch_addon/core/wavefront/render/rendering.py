@@ -8,7 +8,7 @@ import math
 import queue
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any
 
 import numpy as np
@@ -55,7 +55,7 @@ class Rendering:
     ):
         """`state` is brought up to date and `film` filled; `started` is when the render was asked for
         (`time.perf_counter`). With `steps` all tiles are shown after few samples, and then refined; without, each has
-        all samples of a round when it is shown, or with `parts` a part of them.
+        all samples of a round when it is shown. With `parts` workers render it part by part.
         """
         self._integrators, self._state, self._film, self._events, self._started = (
             integrators,
@@ -67,6 +67,8 @@ class Rendering:
         self._steps, self._parts = steps, parts
         # the parts under way: tiles, and how many samples of the round each half has at the end
         self._taken: dict[TileIntegrator, tuple[Sequence[TileState], int]] = {}
+        # halves of tiles with more parts to come, whose pictures nobody has made
+        self._unseen: dict[Hashable, list[FinishedTile]] = {}
         self._total, self._pixels = state.items_to_come, state.pixel_count
         self._earlier = film.sample_total  # paths that are in the film already
         self._earlier_invalid = state.invalid_samples
@@ -82,8 +84,8 @@ class Rendering:
             self._events.keeper.start()
         try:
             self._run_rounds()
-        finally:
             self._note_invalid()
+        finally:
             for integrator in self._integrators:
                 integrator.release()
 
@@ -176,7 +178,8 @@ class Rendering:
                 while not stop.is_set() and (halves := todo.take(place)) is not None:
                     left = state.items_left_of(halves)
                     with named_failures(integrator.device):
-                        finish(self._render_tile(integrator, halves, is_stopped))
+                        if tile := self._render_tile(integrator, halves, is_stopped):
+                            finish(tile)
                     if 0 < state.items_left_of(halves) < left:  # one that was stopped waits for who resumes it
                         todo.put_back(halves, place, self._seconds_left(halves))
             except BaseException as error:  # carried to the calling thread, and raised there
@@ -213,6 +216,8 @@ class Rendering:
             stop.set()
             for thread in threads:
                 thread.join()
+        while self._unseen:
+            self._hand_out(FinishedTile.of_halves(self._unseen.popitem()[1]))
         return is_kept and not is_cancelled
 
     def _is_short(self) -> bool:
@@ -250,8 +255,10 @@ class Rendering:
 
     def _render_tile(
         self, integrator: TileIntegrator, halves: Sequence[TileState], stop: Callable[[], bool]
-    ) -> FinishedTile:
-        """A step of a tile, or all that is left of its round."""
+    ) -> FinishedTile | None:
+        """A step of a tile, or all that is left of its round; None for a part behind which it goes on."""
+        box = halves[0].tile.box
+        self._unseen.pop(box, None)
         start, tail_seconds, finished = time.perf_counter(), 0.0, []
         samples_most = self._step_end(integrator, halves)
         begun, before = [state.items_begun for state in halves], integrator.items_done
@@ -261,19 +268,23 @@ class Rendering:
             most = max(samples_most * state.pixel_count - state.items_begun, 0)
             finished.append(integrator.render(state, samples.first, samples.sample_count, stop, most))
             tail_seconds += integrator.tail_seconds
-        joined = time.perf_counter()
-        integrator.seconds_working += joined - start
-        if done := integrator.items_done - before:
-            integrator.seconds_a_path = (joined - start) / done
-        tile = finished[0] if len(finished) == 1 else FinishedTile.sum_of(*finished)
-        if not (self._steps or self._parts) or begun == (now := [state.items_begun for state in halves]) or stop():
-            return tile
-        end = time.perf_counter()
-        if self._parts:
-            self._parts.note(tile.rectangle, sum(now) - sum(begun), end - start)
+        joined, now, stopped = time.perf_counter(), [state.items_begun for state in halves], stop()
+        goes_on = self._parts is not None and not stopped and self._state.items_left_of(halves) > 0
+        if goes_on:
+            tile, self._unseen[box] = None, finished
         else:
+            tile = FinishedTile.of_halves(finished)
+        end = time.perf_counter()
+        integrator.seconds_working += end - start
+        if done := integrator.items_done - before:
+            integrator.seconds_a_path = (end - start) / done
+        if begun == now or stopped:
+            return tile
+        if self._parts:
+            self._parts.note(box, sum(now) - sum(begun), joined - start)
+        if self._steps:
             samples = max((b - a) / max(each.pixel_count, 1) for a, b, each in zip(begun, now, halves, strict=True))
-            self._steps.note(tile.rectangle, samples, end - start, tail_seconds + end - joined)
+            self._steps.note(box, samples, end - start, tail_seconds + end - joined)
         return tile
 
     def _seconds_left(self, halves: Sequence[TileState]) -> float:

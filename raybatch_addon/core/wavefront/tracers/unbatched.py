@@ -104,18 +104,20 @@ class QuantisedStage:
         self._kernel = launch.declare(quantised_kernel(options))
         self._listed = DeviceRayList()
         self._cursor: wp.array | None = None
+        self._launches: RepeatedLaunches | None = None
         self.kernels = (self._kernel,)
 
     def launch(self, tree: Tree, rays: Rays, listed: RayList, counts: TraceCounts | None) -> None:
         device = rays.origin.device
-        if self._cursor is None:
+        if self._launches is None:
             self._cursor = wp.zeros(1, dtype=int, device=device)
+            self._launches = RepeatedLaunches(device, self._launch.block_size_on(device))
         else:
             self._cursor.zero_()
         fill_list(self._listed, listed)
-        inputs = [tree, rays, self._listed, self._cursor, counts or NO_COUNTS]
+        inputs = (tree, rays, self._listed, self._cursor, counts or NO_COUNTS)
         threads = self._launch.lane_count(listed.bound, device) if self._options.refill else listed.bound
-        wp.launch(self._kernel, threads, inputs, device=device, block_dim=self._launch.block_size_on(device))
+        self._launches.launch(self._kernel, threads, *inputs)
 
 
 @functools.cache
