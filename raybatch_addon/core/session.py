@@ -16,7 +16,7 @@ from .ahead.change import TierChange
 from .ahead.request import CompileRequest, kernels_ahead
 from .bvh.memory import GeometrySize
 from .bvh.node import Layout
-from .bvh.pages.peers.shared import PeerPages, SharedPages
+from .bvh.pages.peers.shared import SharedPages
 from .checkpoint.checkpoint import Checkpoint
 from .device.devices import find_devices, is_alike, load_kernels, start_warp, warp_cache_folder
 from .device.failures import named_failures, names_failures
@@ -30,7 +30,7 @@ from .programs.requests import prepared_scene
 from .scene.description import Scene
 from .scene.features import SceneFeatures, derive_features
 from .scene.validate import checked_scene
-from .session_device import Place, SessionDevice, least_image_budget, pages_in_common
+from .session_device import Place, SessionDevice, geometry_in_common, least_image_budget
 from .settings.settings import RenderSettings
 from .wavefront.adaptive.active_pixels import ActivePixels
 from .wavefront.adaptive.ranges import check_after, chosen_looks, pixels_can_end
@@ -39,6 +39,7 @@ from .wavefront.plan.schedule import with_schedule
 from .wavefront.render.events import RenderEvents, snapshot_watchers
 from .wavefront.render.rendering import Rendering
 from .wavefront.render.resume import ResumeState, check_samples, film_to_fill
+from .wavefront.scene.geometry_request import GeometryInCommon
 from .wavefront.scene.kept_scene import scene_key
 from .wavefront.tier import choose_tier
 
@@ -173,7 +174,7 @@ class Session:
         state = job.begin(film, after, devices)
         if job.settings.kernel_tier == "AUTO":
             job.chosen["kernel_tier"] = Choice("GENERAL" if job.tier.general else "SPECIALISED", job.tier.why)
-        places = self._prepare(job, sharing)
+        places = self._prepare(job, sharing, devices)
         if places:
             self._render(job, places, state, film)
         if checkpoint:
@@ -255,7 +256,7 @@ class Session:
             for other in [each for each in self.devices if not is_alike(each, self.device)][:1]
         ]
 
-    def _prepare(self, job: Job, sharing: Sequence[SessionDevice]) -> list[Place]:
+    def _prepare(self, job: Job, sharing: Sequence[SessionDevice], devices: Sequence[wp.Device]) -> list[Place]:
         """The scene on the devices that share the render, side by side; nothing when cancelled meanwhile."""
         stop, is_cancelled = threading.Event(), job.cancelled
 
@@ -267,24 +268,22 @@ class Session:
         def show() -> None:
             job.on_progress(progress_of(job.parts, job.settings, self.devices, "build"))
 
-        devices = [each.device for each in sharing]
-
-        def prepare(at: SessionDevice, its: Job, peers: PeerPages | None) -> Place | None:
+        def prepare(at: SessionDevice, its: Job, common: GeometryInCommon) -> Place | None:
             with named_failures(at.device):
-                scene, modules = at.prepare(its, self._page_folder, peers)
+                scene, modules = at.prepare(its, self._page_folder, common)
             return None if scene is None else Place(at, its, scene, modules)
 
         job.cancelled = cancelled
         first, *others = sharing
         jobs = [job, *(self._beside(job, each, devices, stop.is_set) for each in others)]
-        pages = pages_in_common(jobs, devices, self._shared_pages)
+        common = geometry_in_common(jobs, devices, self._shared_pages)
         if not others:
-            made = [prepare(first, job, None)]
+            made = [prepare(first, job, common[0])]
         else:
             with ThreadPoolExecutor(max_workers=len(others), thread_name_prefix="RayBatch device") as pool:
                 try:
-                    waited = [pool.submit(prepare, *each) for each in zip(others, jobs[1:], pages[1:], strict=True)]
-                    made = [prepare(first, job, pages[0])]
+                    waited = [pool.submit(prepare, *each) for each in zip(others, jobs[1:], common[1:], strict=True)]
+                    made = [prepare(first, job, common[0])]
                     for each in waited:
                         is_awaited(each, cancelled, show)
                     made += [each.result() for each in waited]

@@ -13,6 +13,7 @@ import warp as wp
 from .ahead.aside import WaitedParts, begin_aside, end_of, is_awaited, once_free
 from .ahead.change import TierChanges
 from .ahead.prepare import Preparation
+from .bvh.build.in_common import TreesInCommon
 from .bvh.build.scene_tree import layout_for
 from .bvh.memory import GeometrySize
 from .bvh.pages.peers.access import let_read, why_apart
@@ -33,7 +34,7 @@ from .wavefront.plan.plan import Memory, Method, TracingPlan, plan_tracing
 from .wavefront.render.resume import ResumeState
 from .wavefront.render.workers import WorkersFor
 from .wavefront.scene.device_scene import DeviceScene
-from .wavefront.scene.geometry_request import GeometryRequest
+from .wavefront.scene.geometry_request import GeometryInCommon, GeometryRequest
 from .wavefront.scene.kept_scene import KeptScene, asked_of
 from .wavefront.scene.scene_cache import SceneCache
 
@@ -117,9 +118,7 @@ class SessionDevice:
             if done.done():
                 self._building = None
 
-    def prepare(
-        self, job: Job, page_folder: Path, peers: PeerPages | None = None
-    ) -> tuple[DeviceScene | None, list[str]]:
+    def prepare(self, job: Job, page_folder: Path, common: GeometryInCommon) -> tuple[DeviceScene | None, list[str]]:
         """The scene on the device, and the names of the modules of kernels; nothing when cancelled meanwhile."""
         kernels = job.request.kernels(self.device) + [add_integers_kernel] * (job.settings.half_count - 1)
         preparation = Preparation(kernels, self.device, self._building, self.tier_changes.is_closed, job.parts)
@@ -129,7 +128,7 @@ class SessionDevice:
             layout=self.layout,
             instancing=job.features.instancing,
             page_folder=page_folder,
-            peers=peers,
+            common=common,
             cancelled=preparation.is_given_up,
         )
         asked = asked_of(job.settings, job.features, job.tier.shading, request)
@@ -161,7 +160,17 @@ def least_image_budget(devices: Sequence[SessionDevice], settings: RenderSetting
     return min((each for each in budgets if each is not None), default=None)
 
 
-def pages_in_common(jobs: Sequence[Job], devices: Sequence[wp.Device], shared: SharedPages) -> list[PeerPages | None]:
+def geometry_in_common(
+    jobs: Sequence[Job], devices: Sequence[wp.Device], shared: SharedPages
+) -> list[GeometryInCommon]:
+    """What each of `devices` has of trees that one of them builds, and of pages that they hold for each other. The jobs
+    are changed as for `_pages_in_common`.
+    """
+    trees = TreesInCommon(devices) if len(devices) > 1 else None
+    return [GeometryInCommon(trees, pages) for pages in _pages_in_common(jobs, devices, shared)]
+
+
+def _pages_in_common(jobs: Sequence[Job], devices: Sequence[wp.Device], shared: SharedPages) -> list[PeerPages | None]:
     """The part of each of `devices` where they hold pages for each other, as the first one's job has it: then all have
     the same plan, with the least budget. The jobs are changed; None for each device where pages lie elsewhere.
     """

@@ -4,6 +4,7 @@ import pytest
 import warp as wp
 
 from raybatch_addon.core import session as session_module
+from raybatch_addon.core.bvh.build.mesh_tree import MeshTrees
 from raybatch_addon.core.bvh.build.scene_tree import layout_for
 from raybatch_addon.core.bvh.memory import GeometrySize
 from raybatch_addon.core.checkpoint.checkpoint import Checkpoint
@@ -126,6 +127,15 @@ def test_the_statistics_list_the_devices(several):
     assert sum(each["paths"] for each in shares.values()) == settings.sample_count * FRAME.pixel_count
     assert all(0 < each["seconds_working"] <= found["seconds"]["render"] for each in shares.values())
     assert found["device"].items() < found["devices"][0].items()
+
+
+def test_trees_are_built_by_one_of_them(several, monkeypatch):
+    if several.device.is_cpu:
+        pytest.skip("the CPU stands for several")
+    build, built = MeshTrees.build, []
+    monkeypatch.setattr(MeshTrees, "build", lambda self, part: built.append(part) or build(self, part))
+    film = several.render(fine(), settings_of("progressive"))
+    assert len(built) == film.statistics["tree"]["trees"] > 0
 
 
 def test_few_paths_are_not_shared(session, several, monkeypatch):

@@ -39,8 +39,8 @@ def parts(monkeypatch):
 
 @pytest.fixture
 def begun(monkeypatch):
-    """The boxes of tiles, as workers begin to render them. One that was begun `most` times is not gone on with before the
-    render is to stop.
+    """The boxes of tiles, as workers begin to render them. One that was begun `most` times is not gone on with before
+    the render is to stop.
     """
     made, render = SimpleNamespace(boxes=[], most=math.inf), integrator.TileIntegrator.render
 

@@ -22,6 +22,7 @@ from .cpu.stages import build_kernel
 from .cuda.build import DEVICE_BUILD_KERNELS
 from .encode import as_vectors, place_groups_kernel
 from .entries import Entries, entries_of
+from .in_common import TreesInCommon
 from .mesh_tree import MeshTree, MeshTrees, mesh_parts
 from .top_level import Listed, OverTime, build_top_level
 
@@ -75,6 +76,7 @@ def build_scene_tree(
     on_device: bool | None = None,
     range_count: int | None = None,
     mesh_ranges: bool = True,
+    in_common: TreesInCommon | None = None,
 ) -> BuiltTree:
     """Build all trees of `flat`, whose arrays are on `device` as `geometry`.
 
@@ -89,11 +91,17 @@ def build_scene_tree(
         range_count: ranges of time that have a top level each, a power of two, where something moves; None: as many as
             pay.
         mesh_ranges: have nodes for these ranges in trees of meshes whose vertices move; trees that are cut use none.
+        in_common: where other devices get the same trees; None: there are none.
 
     Raises `OutOfMemoryError` where the trees do not fit.
     """
     start = time.perf_counter()
-    trees = MeshTrees(flat, geometry, device, layout, spatial_splits, on_device)
+    trees, parts = MeshTrees(flat, geometry, device, layout, spatial_splits, on_device), mesh_parts(flat)
+
+    def build() -> list[MeshTree]:
+        return [trees.build(part) for part in parts]
+
+    kind = layout, spatial_splits, on_device, tuple(parts)
     built = BuiltTree(
         tree=Tree(),
         layout=layout,
@@ -102,7 +110,7 @@ def build_scene_tree(
         splits_planned=spatial_splits,
         range_count=range_count,
         mesh_ranges=mesh_ranges,
-        meshes=[trees.build(part) for part in mesh_parts(flat)],
+        meshes=in_common.get(device, kind, build) if in_common else build(),
     )
     assemble(built, trees, flat, entries_of(flat, visibility), device, fresh=True)
     built.note(len(built.meshes), 0, start)

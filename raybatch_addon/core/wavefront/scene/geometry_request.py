@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 
+from ...bvh.build.in_common import TreesInCommon
 from ...bvh.node import Layout
 from ...bvh.pages.peers.shared import PeerPages
 from ...device.bulk import digest_of
@@ -17,6 +18,14 @@ from ...host_memory import Room, mapped_empty
 from ...scene.description import Scene
 from ...settings.settings import RenderSettings
 from ..plan.plan import Method, TracingPlan, cut_rule
+
+
+@dataclass(frozen=True)
+class GeometryInCommon:
+    """What a device has of geometry that several devices of a render get ready together."""
+
+    trees: TreesInCommon | None = None  # where there are others
+    pages: PeerPages | None = None  # its part, where they hold pages for each other
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +37,7 @@ class GeometryRequest:
     layout: Layout
     instancing: bool  # as the kernels that shade (`SceneFeatures.instancing`)
     page_folder: Path  # for geometry that lies on disk
-    peers: PeerPages | None = None  # this device's part, where devices hold pages for each other
+    common: GeometryInCommon = GeometryInCommon()
     cancelled: Callable[[], bool] = lambda: False  # asked on any thread while pages are built, which it ends
 
     def room(self, device: wp.Device) -> Room:
@@ -45,7 +54,7 @@ class GeometryRequest:
                 plan.geometry_budget,
                 plan.geometry_store,
                 cut_rule(plan, self.settings),
-                self.peers.kind if self.peers else (),
+                self.common.pages.kind if self.common.pages else (),
             )
             if plan.method is Method.PAGED
             else ()

@@ -345,20 +345,13 @@ def _build(
             spatial_splits=settings.is_on("spatial_splits"),
             corners=geometry.positions if together else None,
             cancelled=request.cancelled,
+            encoded=encodes(layout),
         )
         if plan.geometry_store == "PEERS":
-            pages = build_with_peers(request.peers, flat, visibility, layout, device, encodes=encodes(layout), **asked)
+            pages = build_with_peers(request.common.pages, flat, visibility, layout, device, **asked)
         else:
-            pages = build_paged_scene(
-                flat,
-                visibility,
-                layout,
-                device,
-                store=plan.geometry_store,
-                folder=request.page_folder,
-                encoded=encodes(layout),
-                **asked,
-            )
+            store, folder = plan.geometry_store, request.page_folder
+            pages = build_paged_scene(flat, visibility, layout, device, store=store, folder=folder, **asked)
         return Kept(
             fingerprint=fingerprint,
             geometry=geometry,
@@ -377,6 +370,7 @@ def _build(
         spatial_splits=plan.splits,
         splits_moving=settings.is_on("spatial_splits"),
         mesh_ranges=plan.method is not Method.BATCHED,
+        in_common=request.common.trees,
     )
     return Kept(fingerprint=fingerprint, geometry=geometry, built=built)
 

@@ -285,7 +285,7 @@ def scenes_of(budget: int, devices: list[wp.Device], layout: Layout, encodes: bo
                 layout,
                 device,
                 budget=budget,
-                encodes=encodes,
+                encoded=encodes,
                 cancelled=lambda: False,
             )
             for part, device in zip(parts, devices, strict=True)

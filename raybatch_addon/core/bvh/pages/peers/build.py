@@ -27,18 +27,18 @@ def build_with_peers(
     device: wp.Device,
     *,
     budget: int,
-    encodes: bool,
+    encoded: bool,
     cancelled: Callable[[], bool],
     **more: Any,
 ) -> PagedScene:
     """As `build_paged_scene` with the store PEERS, of which `peers` says what `device` is; all of its devices have the
     same `budget`. The first that comes builds the pages.
 
-    `encodes`: triangles are packed where the shares are short. `more`: as for `build_paged_scene`.
+    `encoded`: triangles are packed where the shares are short. `more`: as for `build_paged_scene`.
     """
     primitives = Primitives.of(flat)
     plain, packed = (expected_bytes(primitives, flat.curves, layout, encoded) for encoded in (False, True))
-    ways = ways_to_hold(budget, len(peers.devices), plain, packed if encodes else None)
+    ways = ways_to_hold(budget, len(peers.devices), plain, packed if encoded else None)
     for way in ways[:-1]:
         try:
             return _built(way, peers, flat, visibility, layout, device, budget=budget, cancelled=cancelled, **more)
