@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from .native.structs import upload_anew
+from .native.structs import to_numpy, upload_anew
 
 # So many runs of rows are copied one by one; more of them together, with what lies between
 _RUNS_MOST = 16
@@ -49,7 +49,7 @@ class _Kept:
     @property
     def values(self) -> np.ndarray:
         """What is in it."""
-        return self.array.numpy() if self.copied is None else self.copied
+        return to_numpy(self.array) if self.copied is None else self.copied
 
 
 class KeptArrays:

@@ -11,6 +11,7 @@ import warp as wp
 from ..device.codegen.local_arrays import Unset
 from ..device.devices import load_module
 from ..device.kernel import KERNEL_OPTIONS
+from ..native.structs import to_numpy
 from ..programs.op import NodeData
 from ..programs.point import ShadingPoint
 from ..programs.run import make_run
@@ -120,7 +121,7 @@ def offsets_of(
     material = scene.slot_materials[scene.instances.slot_first[0] + slots]
     work.program = wp.array(np.broadcast_to(material, len(moved.vertex)).astype(np.int32), dtype=int, device=device)
     move(data, features, work, len(moved.vertex), device)
-    world = work.offset.numpy().astype(np.float64)
+    world = to_numpy(work.offset).astype(np.float64)
     # across a flattened object nothing can move: the least solution
     with np.errstate(invalid="ignore"):
         return world @ np.linalg.pinv(linear).T

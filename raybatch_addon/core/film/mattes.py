@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import warp as wp
 
+from ..native.structs import to_numpy
 from ..scene.passes import MATTE_KINDS, matte_kinds
 
 # Identities that a pixel has slots for, of each kind
@@ -81,7 +82,7 @@ class Mattes:
         """What is in the slots of a tile."""
         if film.identity.size == 0:
             return Mattes()
-        identity, weight = film.identity.numpy(), film.weight.numpy()
+        identity, weight = to_numpy(film.identity), to_numpy(film.weight)
         row, pixel = np.nonzero(identity)
         kinds = len(identity) // SLOTS
         return Mattes().plus(
@@ -172,7 +173,7 @@ def mattes_on_device(mattes: Mattes, pixel_count: int, kinds: int, device: wp.De
     _, rank = mattes.ranks(by_weight=False)
     placed = rank < SLOTS
     pixel, kind = np.divmod(mattes.cell[placed], kinds)
-    identity, weight = tile.identity.numpy(), tile.weight.numpy()
+    identity, weight = to_numpy(tile.identity), to_numpy(tile.weight)
     row = kind * SLOTS + rank[placed]
     identity[row, pixel], weight[row, pixel] = mattes.identity[placed].view(np.int32), mattes.weight[placed]
     tile.identity, tile.weight = (

@@ -14,7 +14,7 @@ import numpy as np
 import warp as wp
 
 from ..device.kernel import KERNEL_OPTIONS
-from ..native.structs import copied_to, struct_on
+from ..native.structs import copied_to, struct_on, to_numpy
 from ..scene.passes import matte_kinds
 from .channels import ChannelLayout
 from .host_samples import HostSamples
@@ -84,7 +84,7 @@ class FilmTiles:
     @property
     def invalid_samples(self) -> int:
         """Samples of all tiles that were not finite and count as black; waits for the device."""
-        return int(self._invalid.numpy()[0])
+        return int(to_numpy(self._invalid)[0])
 
     def begin_render(self) -> None:
         """Invalid samples are counted from here on."""
@@ -121,7 +121,7 @@ class FilmTiles:
         """The `count` weights that found no slot, which are the caller's from now on."""
         if count == 0:
             return Mattes()
-        entries = Mattes.of_entries(self._mattes_aside[:count].numpy())
+        entries = Mattes.of_entries(to_numpy(self._mattes_aside[:count]))
         self._mattes_aside_count.zero_()
         return entries
 
@@ -335,10 +335,10 @@ class FinishedTile:
         if self.halves:
             return self.halves[0].fetch().add(self.halves[1].fetch())
         film = self.film
-        wide = film.wide.numpy() if film.wide.shape[0] else no_wide()
+        wide = to_numpy(film.wide) if film.wide.shape[0] else no_wide()
         return HostSamples(
-            ExactSums(film.window.numpy(), wide, self._layout.count),
-            film.counts.numpy(),
+            ExactSums(to_numpy(film.window), wide, self._layout.count),
+            to_numpy(film.counts),
             self._first(),
             self._costs(),
             self._all_mattes(),
@@ -349,13 +349,13 @@ class FinishedTile:
         return self._resolved()[0]
 
     def _costs(self) -> dict[str, np.ndarray]:
-        return dict(zip(self._cost_names, self.cost.numpy())) if self._cost_names else {}
+        return dict(zip(self._cost_names, to_numpy(self.cost))) if self._cost_names else {}
 
     def _all_mattes(self) -> Mattes:
         return Mattes.of_device(self.film.mattes).plus(self.mattes) if matte_kinds(self._pass_names) else Mattes()
 
     def _first(self) -> dict[str, np.ndarray]:
-        return {name: getattr(self.film, FIRST_SAMPLE_ARRAYS[name]).numpy().reshape(-1) for name in self._first_names}
+        return {name: to_numpy(getattr(self.film, FIRST_SAMPLE_ARRAYS[name])).reshape(-1) for name in self._first_names}
 
     def _resolved(self) -> tuple[wp.array, wp.array, wp.array]:
         """Means of the pixels on the device: RGBA, Normal and the others."""
@@ -369,16 +369,16 @@ class FinishedTile:
 
     def _picture(self, pass_names: tuple[str, ...]) -> dict[str, np.ndarray]:
         shape, single = (self.height, self.width), shown_first(self._first())
-        combined, normal, others = (each.numpy() for each in self._resolved())
+        combined, normal, others = (to_numpy(each) for each in self._resolved())
         means, first = {"Combined": combined, "Normal": normal}, self._layout.others_first
         for name in self._layout.others:
             span = self._layout.span(name)
             means[name] = others[:, span.start - first : span.stop - first]
         if self._cost_names or SAMPLE_COUNT in pass_names:
-            counts = self.film.counts.numpy()
+            counts = to_numpy(self.film.counts)
             single |= mean_costs(self._costs(), counts) | sample_counts(pass_names, counts)
         if matte_kinds(pass_names):
-            single |= self._all_mattes().passes(pass_names, self.film.counts.numpy())
+            single |= self._all_mattes().passes(pass_names, to_numpy(self.film.counts))
         pictures = {
             name: single[name] if name in single else shown_pass(name, means.__getitem__, self._layout)
             for name in pass_names

@@ -18,6 +18,7 @@ import warp as wp
 from ..bvh.traverse.counts import LANE_PARTS, TraceCounts
 from ..device.kernel import KERNEL_OPTIONS
 from ..film.layout import COST_PASSES
+from ..native.structs import to_numpy
 from ..rays import RayList
 from .hardware import UNAVAILABLE
 from .timing import StageTimer, clock_of
@@ -261,8 +262,8 @@ class Counters:
     def totals(self) -> CounterTotals:
         """All that was counted so far; waits for the device."""
         sums = self._sums
-        by_bounce = sums.by_bounce.numpy().sum(1).reshape(len(RAY_KINDS), sums.bins, len(QUANTITIES))
-        lanes = np.stack([work.lanes.numpy().reshape(len(LANE_PARTS), 2) for work in (*self.work, self.mixed)])
+        by_bounce = to_numpy(sums.by_bounce).sum(1).reshape(len(RAY_KINDS), sums.bins, len(QUANTITIES))
+        lanes = np.stack([to_numpy(work.lanes).reshape(len(LANE_PARTS), 2) for work in (*self.work, self.mixed)])
         return CounterTotals(by_bounce, lanes, self.features.steps, self.timer.totals())
 
 

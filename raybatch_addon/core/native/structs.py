@@ -57,6 +57,22 @@ def upload_anew(_name: str, values: np.ndarray, dtype: Any, device: wp.Device) -
     return wp.array(values, dtype=dtype, device=device)
 
 
+def to_numpy(array: wp.array) -> np.ndarray:
+    """What is in `array`: on the CPU the same memory; of a CUDA device a copy, as its stream has it by now.
+
+    Warp's own method makes the default stream that of the device meanwhile, for all threads, and for good where two
+    threads are at it side by side: then another device's thread records no event there (`copied_to`).
+    """
+    device = array.device
+    if device.is_cpu:
+        return array.numpy()
+    host = wp.empty(array.shape, dtype=array.dtype, device="cpu")
+    if array.size:
+        wp.copy(host, array)
+        wp.synchronize_event(device.stream.record_event())
+    return host.numpy()
+
+
 def bytes_of_struct(value: Any) -> np.ndarray:
     """What one instance of a Warp struct is in memory, uint8; the arrays in it are their addresses."""
     made = value.__ctype__()

@@ -12,6 +12,7 @@ from ..device import declared  # noqa: F401 - before anything is declared: decla
 from ..device.bulk import copy_rows, take_rows
 from ..device.locked import OWN_PAGES_LEAST, locked_empty, locked_view
 from ..native.build import native_source
+from ..native.structs import to_numpy
 from .description import Scene
 from .features import needs_instancing
 from .flatten import FlatGeometry
@@ -131,7 +132,7 @@ def _corners(positions: np.ndarray, triangles: np.ndarray, device: wp.Device) ->
     """The corners of every triangle in host memory, as an array of `device`."""
     count = triangles.size
     on_host = locked_empty(count, wp.vec3) if device.is_cuda else wp.empty(count, dtype=wp.vec3, device="cpu")
-    take_rows(positions, triangles.reshape(-1), on_host.numpy())
+    take_rows(positions, triangles.reshape(-1), to_numpy(on_host))
     return _alias(on_host, device) if device.is_cuda else on_host
 
 
@@ -166,7 +167,7 @@ def host_array(values: np.ndarray, dtype: type, device: wp.Device) -> wp.array:
     """An array of the CUDA device `device` that lies in pinned memory of the host."""
     source = wp.array(values, dtype=dtype, device="cpu", copy=False)
     pinned = locked_empty(source.shape, dtype)
-    copy_rows(source.numpy(), pinned.numpy())
+    copy_rows(to_numpy(source), to_numpy(pinned))
     return _alias(pinned, device)
 
 

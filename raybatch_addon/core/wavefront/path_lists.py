@@ -22,6 +22,7 @@ import warp as wp
 from ..device.kernel import KERNEL_OPTIONS
 from ..device.launches import RepeatedLaunches
 from ..native.build import native_source
+from ..native.structs import to_numpy
 from ..rays import NO_RAYS, RayList
 from .rays import BOUNCE_SHIFT, Status
 
@@ -131,7 +132,7 @@ class Counts:
         self.on_device = wp.zeros(size, dtype=int, device=device)
         # a CUDA device writes to memory that the host has pinned without a detour
         self._on_host = wp.zeros(size, dtype=int, device="cpu", pinned=True) if device.is_cuda else self.on_device
-        self._lengths = self._on_host.numpy()  # the same memory
+        self._lengths = to_numpy(self._on_host)  # the same memory
         self._single = [self.on_device[i : i + 1] for i in range(size)]
         self._sent = wp.Event(device) if device.is_cuda else None
 

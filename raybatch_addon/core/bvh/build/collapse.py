@@ -21,6 +21,7 @@ import warp as wp
 
 from ...device.kernel import KERNEL_OPTIONS
 from ...native.build import native_source
+from ...native.structs import to_numpy
 from ..node import (
     EMPTY_CHILD,
     GROUPS_MAX,
@@ -273,7 +274,7 @@ def _collapse(
     # never 0: among boxes that are equal or empty, fewer nodes must be cheaper
     work.size_cost = cost.size * work.unit / len(binary.references) + 1e-9
     wp.launch(collapse_boxes_kernel if boxes else collapse_quantised_kernel, dim=1, inputs=[work], device="cpu")
-    error, node_count, listed, depth, leaf_count, reference_count = work.found.numpy().tolist()
+    error, node_count, listed, depth, leaf_count, reference_count = to_numpy(work.found).tolist()
     if error:
         raise ValueError(_MESSAGES[CollapseOutcome(error)])
     nodes = aligned_empty((node_count, layout.node_words), layout.node_type)
@@ -289,9 +290,9 @@ def _collapse(
         "depth": depth,
         "leaf_count": leaf_count,
         "reference_count": reference_count,
-        "sah": float(work.sah.numpy()[0]),
+        "sah": float(to_numpy(work.sah)[0]),
     }
-    return tree, work.order.numpy().reshape(-1)[:listed]
+    return tree, to_numpy(work.order).reshape(-1)[:listed]
 
 
 def _centre(root: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ import numpy as np
 import warp as wp
 
 from ...device.devices import free_memory
+from ...native.structs import to_numpy
 from ...scene.flatten import FlatGeometry
 from ...scene.geometry import Geometry
 from ..memory import COPY_BYTES, NODES_OVER_TIME
@@ -286,12 +287,12 @@ class MeshTrees:
     ) -> RefitResult:
         """Refit a tree of BOXES: what is above triangles that moved, once its boxes are known."""
         nodes, groups = (
-            array.numpy().reshape(-1, words)
+            to_numpy(array).reshape(-1, words)
             for array, words in ((mesh.nodes, self.layout.node_words), (mesh.triangles, self.layout.triangle_words))
         )
         whole, mesh.whole = mesh.whole, None
         if moved is not None and whole is not None:
-            vertices = positions.numpy(), triangles.numpy()
+            vertices = to_numpy(positions), to_numpy(triangles)
             result = refit_part(nodes, groups, mesh.centre, whole, moved, *vertices)
             if result is not None:
                 mesh.whole = whole
@@ -312,7 +313,7 @@ class MeshTrees:
     def _levels(self, mesh: MeshTree) -> NodeLevels:
         device = mesh.nodes.device  # the host's, until a tree that was built there is uploaded
         if mesh.level_first is None:
-            words = mesh.nodes.numpy().view(self.layout.node_type).reshape(-1, self.layout.node_words)
+            words = to_numpy(mesh.nodes).view(self.layout.node_type).reshape(-1, self.layout.node_words)
             return node_levels(words, device)
         numbers = wp.empty(mesh.node_count, dtype=int, device=device)
         wp.utils.array_scan(wp.full(mesh.node_count, 1, dtype=int, device=device), numbers, inclusive=False)

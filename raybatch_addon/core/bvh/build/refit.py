@@ -20,6 +20,7 @@ import warp as wp
 
 from ...device.kernel import KERNEL_OPTIONS
 from ...native.build import native_source
+from ...native.structs import to_numpy
 from ..node import Layout, decode_children
 from .collapse import BOXES_COST, QUANTISED_COST, CollapseCost
 from .encode import ENCODE_BOXES, ENCODE_QUANTISED, place_groups_kernel, place_triangles_kernel
@@ -186,7 +187,7 @@ def refit_boxes(
         wp.launch(place_groups_kernel, dim=work.unit_count, inputs=[placed, at, triangles], device="cpu")
     wp.launch(join_boxes_kernel, dim=1, inputs=[work], device="cpu")
     wp.launch(write_boxes_kernel, dim=work.node_count, inputs=[work], device="cpu")
-    return replace(_result(work), boxes=work.boxes.numpy().reshape(-1, 6).copy(), costs=work.cost.numpy().copy())
+    return replace(_result(work), boxes=to_numpy(work.boxes).reshape(-1, 6).copy(), costs=to_numpy(work.cost).copy())
 
 
 def _steps(positions: wp.array | Sequence[wp.array]) -> Sequence[wp.array]:
@@ -212,6 +213,6 @@ def _start(
 
 
 def _result(work: RefitWork) -> RefitResult:
-    box = work.boxes[:6].numpy().reshape(2, 3).copy()
+    box = to_numpy(work.boxes[:6]).reshape(2, 3).copy()
     centre = ((box[0].astype(np.float64) + box[1]) / 2).astype(np.float32)
     return RefitResult(centre, box, float(wp.utils.array_sum(work.cost)))

@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from ...device.bulk import in_slices
+from ...native.structs import to_numpy
 from ..margin import SLAB_MARGIN
 from ..node import BOXES_NODE, QUANTISED_NODE, Layout, half_areas
 from ..tree import Tree
@@ -169,9 +170,9 @@ def build_top_level(
         return TopLevel(nodes, order, [0, nodes.size * 4 // layout.node_words], centre, ray_margin)
     words, orders, first, behind = [], [], [0], 0
     for i, (nodes, order, _) in enumerate(trees):
-        own = nodes.numpy().view(layout.node_type).reshape(-1, layout.node_words)
+        own = to_numpy(nodes).view(layout.node_type).reshape(-1, layout.node_words)
         words.append(_shifted(layout, own, behind))
-        numbers = order.numpy()
+        numbers = to_numpy(order)
         orders.append(numbers if listed is None else listed[i][numbers])
         first.append(first[-1] + len(own))
         behind += len(numbers)

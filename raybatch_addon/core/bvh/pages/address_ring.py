@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from ...native.structs import to_numpy
+
 
 class AddressRing:
     """Addresses of pages on their way to the device: written by the host where a kernel reads them, several steps
@@ -30,7 +32,7 @@ class AddressRing:
         self._turn = (self._turn + 1) % len(self._host)
         if self._read[self._turn] is not None:
             wp.synchronize_event(self._read[self._turn])
-        self._host[self._turn].numpy()[:] = addresses
+        to_numpy(self._host[self._turn])[:] = addresses
         return self._device[self._turn]
 
     def was_read(self) -> None:

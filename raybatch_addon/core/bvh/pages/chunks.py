@@ -17,6 +17,7 @@ import warp as wp
 
 from ...device.devices import worker_count
 from ...errors import check_cancelled
+from ...native.structs import to_numpy
 from ..build.binary import BuildOptions
 from ..build.collapse import collapse_mesh, collapse_quantised_kernel, fill_quantised_kernel
 from ..build.cpu.build import build_binary
@@ -142,7 +143,7 @@ class ChunkBuilder:
             yield from map(one_treelet, trees)
             return
         cut = _in_order(
-            pool, _CUT_AHEAD, lambda tree: (tree, self._cut(tree.nodes.numpy(), len(tree.faces), tree.steps)), trees
+            pool, _CUT_AHEAD, lambda tree: (tree, self._cut(to_numpy(tree.nodes), len(tree.faces), tree.steps)), trees
         )
         yield from (in_treelets(tree, cut) for tree, cut in cut)
 

@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from ...device.devices import worker_count
+from ...native.structs import to_numpy
 from ..node import Layout, triangle_faces
 from .chunk import Chunk
 from .encode import encode_triangles
@@ -132,7 +133,7 @@ class HostPacker:
             first, memory = self._target.add(total)
         else:
             if self._buffer is None or len(self._buffer) < total:
-                self._buffer = page_buffer(total).numpy()
+                self._buffer = to_numpy(page_buffer(total))
             memory = self._buffer[:total]
         _fill(memory, blocks, sizes)
         if not isinstance(self._target, HostStore):

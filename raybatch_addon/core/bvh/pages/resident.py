@@ -12,6 +12,7 @@ import warp as wp
 
 from ...device.bulk import copy_rows
 from ...host_memory import Room
+from ...native.structs import to_numpy
 from ...scene.flatten import FlatGeometry
 from ...scene.geometry import host_array, mat34
 from ..build.encode import as_vectors
@@ -84,7 +85,7 @@ def place_resident(
     still += sum(values.nbytes for values, _ in lists.values())
     top, fits = _top_level(entries, times, layout, device, limits, still, _record_bytes(entries, bool(flat.motion)))
     del times  # the boxes of all entries
-    top_words = top.nodes.numpy().view(layout.node_type).reshape(-1, layout.node_words)
+    top_words = to_numpy(top.nodes).view(layout.node_type).reshape(-1, layout.node_words)
     node_count = len(tables.top_nodes)
     tree = Tree()
     tree.nodes = _upload_words(np.concatenate([tables.top_nodes, top_words]), device)
@@ -191,11 +192,11 @@ def load_nodes(tables: PageTables, store: PageStore, device: wp.Device) -> wp.ar
             wp.copy(bytes_of_rows(nodes, end, size), view, count=size)
         elif device.is_cuda:
             buffer = buffer or page_buffer(max(int(tables.page_bytes[:, 0].max()), 64))
-            store.read_into(page, buffer.numpy(), direct=True)
+            store.read_into(page, to_numpy(buffer), direct=True)
             wp.copy(bytes_of_rows(nodes, end, size), buffer, count=size)
             wp.synchronize_device(device)
         else:
-            store.read_into(page, bytes_of_rows(nodes, end, size).numpy(), direct=True)
+            store.read_into(page, to_numpy(bytes_of_rows(nodes, end, size)), direct=True)
         end += size
     wp.synchronize_device(device)
     return nodes

@@ -20,6 +20,7 @@ import warp as wp
 
 from ...device.locked import locked_empty
 from ...errors import OutOfMemoryError, RayBatchError
+from ...native.structs import to_numpy
 
 # Where reads without the system's cache must begin and end, in the file and in memory [bytes]
 PAGE_ALIGNMENT = 4096
@@ -149,11 +150,11 @@ class HostStore:
         first = self._used
         self._used += size
         self.byte_count += size
-        return first, self.at(first, size).numpy()
+        return first, to_numpy(self.at(first, size))
 
     def read_into(self, page: Page, host: np.ndarray, direct: bool) -> None:
         """See `PageStore`."""
-        host[: page.byte_count] = self.view(page).numpy()
+        host[: page.byte_count] = to_numpy(self.view(page))
 
     def view(self, page: Page) -> wp.array:
         """See `PageStore`."""

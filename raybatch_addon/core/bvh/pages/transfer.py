@@ -19,6 +19,7 @@ import warp as wp
 
 from ...device.devices import copy_stream
 from ...errors import BudgetError
+from ...native.structs import to_numpy
 from .paged_scene import PagedScene
 from .store import bytes_of_rows, padded, page_buffer
 
@@ -125,11 +126,11 @@ class HostTransfer:
         scene, page = self._scene, self._scene.pages[number]
         target = bytes_of_rows(self._pool, slot * self._slot_bytes, page.device_bytes)
         if not scene.encoded:
-            scene.store.read_into(page, target.numpy(), direct=True)
+            scene.store.read_into(page, to_numpy(target), direct=True)
             return
         buffer = self._staging.get()
         try:
-            scene.store.read_into(page, buffer.numpy(), direct=True)
+            scene.store.read_into(page, to_numpy(buffer), direct=True)
             scene.expand(number, buffer[: page.byte_count], target)
         finally:
             self._staging.put(buffer)
@@ -195,7 +196,7 @@ class CudaTransfer:
             if copied is not None:
                 wp.synchronize_event(copied)
             copied = None
-            self._scene.store.read_into(self._scene.pages[number], buffer.numpy(), direct=True)
+            self._scene.store.read_into(self._scene.pages[number], to_numpy(buffer), direct=True)
             copied = self._copy(number, slot, buffer, used)
         finally:
             self._pinned.put((buffer, copied))

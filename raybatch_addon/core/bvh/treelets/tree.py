@@ -21,6 +21,7 @@ import warp as wp
 from ...device.devices import free_memory
 from ...device.kernel import KERNEL_OPTIONS
 from ...errors import OutOfMemoryError
+from ...native.structs import to_numpy
 from ..build.encode import as_vectors
 from ..build.mesh_tree import MeshTree
 from ..build.scene_tree import BuiltTree
@@ -209,7 +210,7 @@ def _placed(
     tree.top_node = int(mesh_node[-1])
     if source.motion_steps:
         tree.range_node = wp.array(
-            source.range_node.numpy() + np.int32(tree.top_node - source.top_node), dtype=int, device=device
+            to_numpy(source.range_node) + np.int32(tree.top_node - source.top_node), dtype=int, device=device
         )
     return tree
 
@@ -278,7 +279,7 @@ def _cut_mesh(layout: Layout, mesh: MeshTree, rule: CutRule, device: wp.Device) 
 
 def _words(vectors: wp.array, words: int, dtype: type[np.generic]) -> np.ndarray:
     """The whole nodes or units of `words` words each in `vectors`; an incomplete one at the end is left out."""
-    return vectors[: vectors.size * 4 // words * words // 4].numpy().view(dtype).reshape(-1, words)
+    return to_numpy(vectors[: vectors.size * 4 // words * words // 4]).view(dtype).reshape(-1, words)
 
 
 def _empty_vectors(count: int, device: wp.Device) -> wp.array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from ...native.structs import to_numpy
 from ...scene.description import ALL_SHADOW_SETS, Scene
 from ...scene.linking import lifts_shadow_rays, links_lights, links_shadows
 from ...scene.passes import LIGHT_GROUP, light_group_passes
@@ -69,13 +70,13 @@ def _of_nodes(choice: ChoiceTable, owners: np.ndarray, first: int, triangle_inst
 
     `owners`: those of owners; `first`: number of the first emissive triangle.
     """
-    below, leaf = choice.below.numpy(), choice.leaf.numpy()
+    below, leaf = to_numpy(choice.below), to_numpy(choice.leaf)
     owner = np.arange(len(leaf))
     owner[first : first + len(triangle_instance)] = first + triangle_instance
     nodes = np.zeros(len(below), np.uint64)
     placed = leaf >= 0
     nodes[leaf[placed]] = owners[owner[placed]]
-    above = choice.above.numpy()
+    above = to_numpy(choice.above)
     for block in range(len(above) - 1, 0, -1):  # blocks nearer to the root come first
         nodes[above[block]] |= np.bitwise_or.reduce(nodes[block * BLOCK_WIDTH : (block + 1) * BLOCK_WIDTH])
     return nodes

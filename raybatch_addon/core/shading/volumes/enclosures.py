@@ -14,6 +14,7 @@ import numpy as np
 import warp as wp
 
 from ...float32 import UNIT_ROUNDOFF
+from ...native.structs import to_numpy
 from ...scene.description import Camera, CameraKind, Mesh, Scene
 from ...scene.frozen import fact
 from ...scene.geometry import Geometry, corners_of, mat34, transform_point, transform_vector
@@ -235,7 +236,7 @@ def upload_enclosures(
     if not len(needed):
         return UploadedEnclosures(data, [])
     # what is in world space already is placed by the identity
-    placed = geometry.instance_transform.numpy()
+    placed = to_numpy(geometry.instance_transform)
     trees: dict[tuple[int, int], tuple[wp.Bvh, int]] = {}
     triangles: list[np.ndarray] = []
     table = np.zeros(len(needed), Enclosure.numpy_dtype())

@@ -12,7 +12,7 @@ import warp as wp
 from ...device.kernel import KERNEL_OPTIONS
 from ...film import Film
 from ...film.tile import FinishedTile
-from ...native.structs import copied_to
+from ...native.structs import copied_to, to_numpy
 from ..scheduler import Rectangle
 from ..stages.generate import pixel_in_blocks
 from .noise import NoisePart, row_sums_kernel, sample_noise_kernel, stop_kernel
@@ -132,7 +132,7 @@ class ActivePixels:
         stopped = wp.array(self.stopped.reshape(-1), dtype=int, device=device)
         rule = [sums, width, height, samples, self.threshold**2, stopped]
         wp.launch(stop_kernel, noise.size, rule, device=device)
-        self.stopped = stopped.numpy().reshape(height, width)
+        self.stopped = to_numpy(stopped).reshape(height, width)
         self.looks.append({"samples": samples, "pixels": self.stopped.size - int(np.count_nonzero(self.stopped))})
 
     def lists(self, tiles: Iterable[Rectangle], device: wp.Device) -> list[wp.array | None]:
@@ -146,7 +146,7 @@ class ActivePixels:
         place = [stopped, width, tile.width, tile.height, self._corner(tile), flags]
         wp.launch(flag_active_kernel, tile.pixel_count, place, device=device)
         wp.utils.array_scan(flags, ends, inclusive=True)
-        count = int(ends[-1:].numpy()[0])
+        count = int(to_numpy(ends[-1:])[0])
         if count == tile.pixel_count:
             return None
         active = wp.empty(count, dtype=int, device=device)

@@ -9,6 +9,7 @@ import warp as wp
 
 from ...device.bulk import in_slices
 from ...device.devices import load_module, worker_count
+from ...native.structs import to_numpy
 from ...scene.description import Scene, SkySun
 from ...scene.features import SceneFeatures
 from ...shading.lights.emitters import scene_radius
@@ -53,7 +54,7 @@ def emission_of_triangles(
         return work, end - first
 
     _launch_in_parts(Estimate.TRIANGLES, data, features, device, len(instance), work_of)
-    return radiance.numpy()
+    return to_numpy(radiance)
 
 
 def world_texels(data: SceneData, features: SceneFeatures, width: int, device: wp.Device) -> np.ndarray:
@@ -68,7 +69,7 @@ def world_texels(data: SceneData, features: SceneFeatures, width: int, device: w
         return work, (end - first) * width
 
     _launch_in_parts(Estimate.WORLD, data, features, device, height, work_of)
-    light = texels.numpy().reshape(height, width)
+    light = to_numpy(texels).reshape(height, width)
     rough = np.flatnonzero(_is_rough(light)).astype(np.int32) if width < _FINE_WIDTH else np.zeros(0, np.int32)
     if len(rough) == 0:
         return light
@@ -80,7 +81,7 @@ def world_texels(data: SceneData, features: SceneFeatures, width: int, device: w
         return work, end - first
 
     _launch_in_parts(Estimate.WORLD, data, features, device, len(rough), work_of_rough)
-    return texels.numpy().reshape(height, width)
+    return to_numpy(texels).reshape(height, width)
 
 
 def sun_brightness(data: SceneData, features: SceneFeatures, sun: SkySun, device: wp.Device) -> float:
@@ -89,7 +90,7 @@ def sun_brightness(data: SceneData, features: SceneFeatures, sun: SkySun, device
     work.directions = wp.array(directions_within(sun, _SUN_DIRECTIONS), dtype=wp.vec3, device=device)
     work.texels = wp.zeros(_SUN_DIRECTIONS, dtype=float, device=device)
     _launch_in_parts(Estimate.WORLD, data, features, device, 1, lambda first, end: (work, _SUN_DIRECTIONS))
-    return float(work.texels.numpy().mean(dtype=np.float64))
+    return float(to_numpy(work.texels).mean(dtype=np.float64))
 
 
 def _is_rough(light: np.ndarray) -> np.ndarray:
@@ -121,7 +122,7 @@ def brightness_of_lamps(
     kernel = estimate_kernel(features, Estimate.LAMPS)
     load_module(kernel, device)
     wp.launch(kernel, len(lamps), [data, work], device=device)
-    for i, mean in zip(lamps, work.brightness.numpy()):
+    for i, mean in zip(lamps, to_numpy(work.brightness)):
         result[i] = (mean if mean > 0 else _UNSEEN) if scene.lights[i].program.may_emit else 0.0
     return result
 

@@ -15,6 +15,7 @@ from ...film import Film
 from ...measure.batching import BatchingTotals
 from ...measure.counters import CounterTotals, TreeBytes
 from ...measure.volumes import VolumeCounts
+from ...native.structs import to_numpy
 from ..adaptive.active_pixels import ActivePixels
 from ..integrator import TileIntegrator
 from ..order.sort_policy import merged_reports
@@ -105,7 +106,7 @@ def tile_totals(integrators: Sequence[TileIntegrator]) -> TileTotals | None:
 
 def volume_counts(integrators: Sequence[TileIntegrator]) -> VolumeCounts | None:
     """What the workers counted in volumes; None where there are none."""
-    found = [each.volumes.counts.numpy().sum(0).tolist() for each in integrators if each.volumes]
+    found = [to_numpy(each.volumes.counts).sum(0).tolist() for each in integrators if each.volumes]
     return VolumeCounts(*map(sum, zip(*found, strict=True))) if found else None
 
 

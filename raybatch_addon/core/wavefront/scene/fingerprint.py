@@ -8,6 +8,7 @@ import numpy as np
 
 from ...bvh.build.mesh_tree import mesh_parts
 from ...device.bulk import digest_of
+from ...native.structs import to_numpy
 from ...scene.description import Scene
 from ...scene.flatten import FlatGeometry
 from ...scene.geometry import Geometry
@@ -64,7 +65,7 @@ class Fingerprint:
         remade = []
         for i, part in enumerate(mesh_parts(flat)):
             if self.triangles[i] != before.triangles[i]:
-                now, was = flat.triangles[part.span], geometry.triangles[part.span].numpy()
+                now, was = flat.triangles[part.span], to_numpy(geometry.triangles[part.span])
                 if np.count_nonzero(now != was) > REMADE_SHARE * now.size:
                     remade.append(i)
         return remade

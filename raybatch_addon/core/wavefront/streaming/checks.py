@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import warp as wp
 
+from ...native.structs import to_numpy
 from .queues import Queue, StreamQueues
 
 
@@ -17,18 +18,18 @@ def check_queues(queues: StreamQueues, status: wp.array, alive: int) -> None:
     """
     path_count = status.size
     size, head, tail, places = (
-        each.numpy().astype(np.int64) for each in (queues.size, queues.head, queues.tail, queues.mask)
+        to_numpy(each).astype(np.int64) for each in (queues.size, queues.head, queues.tail, queues.mask)
     )
     places += 1
     waiting = (tail - head) & 0xFFFFFFFF
     _check(waiting == size, lambda q: f"queue {_name(q)} has {waiting[q]} tickets and {size[q]} tokens")
     _check(waiting <= places, lambda q: f"queue {_name(q)} holds {waiting[q]} tokens in {places[q]} places")
-    room, left = queues.room.numpy(), (places - waiting)[len(Queue) :]
+    room, left = to_numpy(queues.room), (places - waiting)[len(Queue) :]
     _check(room == left, lambda t: f"treelet {t} has room for {room[t]} tokens, not {left[t]}")
-    ring = queues.ring.numpy()
+    ring = to_numpy(queues.ring)
     of = np.repeat(np.arange(len(size)), places)  # the queue of each entry
     # the next ticket of each entry; where its token is there, it says one more
-    behind = (np.arange(len(ring)) - queues.first.numpy()[of] - head[of]) % places[of]
+    behind = (np.arange(len(ring)) - to_numpy(queues.first)[of] - head[of]) % places[of]
     is_there = behind < waiting[of]
     turns = (head[of] + behind + is_there).astype(np.uint32)
     agree = (ring >> 32).astype(np.uint32) == turns
@@ -37,7 +38,7 @@ def check_queues(queues: StreamQueues, status: wp.array, alive: int) -> None:
     seen = np.bincount(tokens % path_count, minlength=path_count)
     _check(seen == 1, lambda path: f"path {path} is in {seen[path]} queues, not in exactly one queue")
     free = tokens[of[is_there] == Queue.GENERATE]
-    _check(status.numpy()[free] == 0, lambda i: f"path {free[i]} is alive and among the free slots")
+    _check(to_numpy(status)[free] == 0, lambda i: f"path {free[i]} is alive and among the free slots")
     counted = path_count - len(free)
     _check(np.array([counted == alive]), lambda _: f"{counted} paths are alive, and {alive} are counted")
 

@@ -15,6 +15,7 @@ import warp as wp
 from ...bvh.traverse.counts import NO_COUNTS
 from ...device.devices import load_module
 from ...film.tile import FilmTile, FinishedTile
+from ...native.structs import to_numpy
 from ...scene.description import Frame
 from ...scene.passes import matte_kinds
 from ...settings.settings import RenderSettings
@@ -147,7 +148,7 @@ class StreamingIntegrator(TileIntegrator):
                 device=self.device,
                 block_dim=BLOCK_SIZE,
             )
-        counted = dict(zip(Counter, queues.counters.numpy().tolist(), strict=True))
+        counted = dict(zip(Counter, to_numpy(queues.counters).tolist(), strict=True))
         lengths = self._lists.counts.fetch()
         if lengths[Length.MATTES]:
             self._mattes = self._mattes.plus(self._film_tiles.mattes_aside(lengths[Length.MATTES]))

@@ -11,7 +11,7 @@ import warp as wp
 
 from ...device.devices import copy_stream
 from ...device.kernel import KERNEL_OPTIONS
-from ...native.structs import record_type
+from ...native.structs import record_type, to_numpy
 from ...shading.images.tiled.pictures import TileSource
 
 # Threads that copy, a quarter of a megabyte at a time: as fast as more of them (H200: 38 to 42 GB/s; half of them 25),
@@ -96,7 +96,7 @@ class TileCarrier:
         size = self._source.slot_bytes
         most = max(1, min(len(numbers), _STAGED_BYTES // size))
         buffer = wp.zeros((most, size), dtype=wp.uint8, device="cpu", pinned=self._device.is_cuda)
-        tiles, texels = buffer.numpy(), records["row_words"] * _WORD_BYTES // records["texel"]  # of a row
+        tiles, texels = to_numpy(buffer), records["row_words"] * _WORD_BYTES // records["texel"]  # of a row
         records["stored"] = records["texel"]
         records["stride"] = records["width"] = texels * records["texel"]
         for first in range(0, len(numbers), most):

@@ -16,6 +16,7 @@ import warp as wp
 
 from ...device.launches import RepeatedLaunches
 from ...measure.timing import NoTimer, StageTimer
+from ...native.structs import to_numpy
 from ...rays import NO_RAYS, RayList, Rays
 from ..path_lists import PathLists
 from ..rays import Paths
@@ -102,7 +103,7 @@ class TileFetcher:
 
     def bring(self) -> None:
         """At the end of a turn, when the device has done what was launched: bring tiles for rays that wait."""
-        counts = self._counted.numpy()
+        counts = to_numpy(self._counted)
         self._looked += int(counts[LOOKED])
         self._waited += int(counts[WAITED])
         self._waiting = int(counts[WAITING_NOW])

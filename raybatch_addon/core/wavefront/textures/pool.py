@@ -20,7 +20,7 @@ import numpy as np
 import warp as wp
 
 from ...errors import BudgetError
-from ...native.structs import record_type, upload_records
+from ...native.structs import record_type, to_numpy, upload_records
 from ...shading.images.textures import ImageEntry, ImageTable
 from ...shading.images.tiled.look_up import MARKS, PINNED, WANTED
 from ...shading.images.tiled.pictures import TileSource
@@ -112,7 +112,7 @@ class TilePool:
         self._carrier = TileCarrier(source, self._most) if source.device.is_cuda else None
         device, numbers, size = source.device, source.number_count, source.slot_bytes
         self._on_host = wp.zeros(numbers, dtype=wp.uint64, device="cpu", pinned=device.is_cuda)
-        self._addresses = self._on_host.numpy()
+        self._addresses = to_numpy(self._on_host)
         self._on_device = wp.zeros(numbers, dtype=wp.uint64, device=device)
         self._marks = wp.zeros(MARKS * numbers, dtype=int, device=device)
         self._marks_host: wp.array | None = None  # where they are read one by one
@@ -170,7 +170,7 @@ class TilePool:
 
     def _read_marks(self) -> np.ndarray:
         """What was asked of each tile, as bits; look-ups that found none are counted."""
-        asked = self._asked_host.numpy()
+        asked = to_numpy(self._asked_host)
         wp.launch(condense_marks_kernel, len(asked), [self._marks, self._asked], device=self._device)
         if self._device.is_cuda:
             wp.copy(self._asked_host, self._asked)
@@ -188,7 +188,7 @@ class TilePool:
         wp.copy(self._marks_host, self._marks)
         if self._device.is_cuda:
             wp.synchronize_stream(self._device.stream)
-        return self._marks_host.numpy().reshape(-1, MARKS)
+        return to_numpy(self._marks_host).reshape(-1, MARKS)
 
     def _choose(self, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Of the tiles `wanted` those to bring, and those that stay."""
@@ -228,7 +228,7 @@ class TilePool:
             for number, block, row in zip(
                 missing.tolist(), *(each.tolist() for each in divmod(slots, self._per_block))
             ):
-                target = self._blocks[block].numpy()[row].view(np.uint8)
+                target = to_numpy(self._blocks[block])[row].view(np.uint8)
                 self.totals.bytes += self._source.copy_tile(number, target)
             self._addresses[missing] = self._slot_addresses(slots)
         self.totals.fetched += len(missing)

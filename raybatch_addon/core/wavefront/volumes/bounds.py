@@ -19,6 +19,7 @@ import numpy as np
 import warp as wp
 
 from ...device.codegen.local_arrays import Unset
+from ...native.structs import to_numpy
 from ...scene.description import Mesh, Scene, Visibility
 from ...scene.frozen import fact
 from ...scene.geometry import transform_point
@@ -225,7 +226,7 @@ def find_bounds(
         volumes.asked = asked
         launch(volumes, len(together) * count)
         shape = len(together), cells, cells, cells, 2, 2, 2, 2
-        around[together] = _largest_anywhere_near(asked.found.numpy().reshape(shape))
+        around[together] = _largest_anywhere_near(to_numpy(asked.found).reshape(shape))
         for number in together:
             mesh = bounded[number].mesh
             if mesh is not None and mesh.flow is not None:
@@ -269,7 +270,7 @@ def goes_on_beyond(
 
 def largest_of_cells(found: wp.array) -> np.ndarray:
     """The largest extinction of each cell of `BoundWork.found` [1/m], float64."""
-    return found.numpy()[:, EXTINCTION].reshape(-1, CELL_POINTS).max(1).astype(np.float64)
+    return to_numpy(found)[:, EXTINCTION].reshape(-1, CELL_POINTS).max(1).astype(np.float64)
 
 
 def _largest_anywhere_near(octants: np.ndarray) -> np.ndarray:

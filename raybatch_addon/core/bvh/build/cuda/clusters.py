@@ -21,6 +21,7 @@ import warp as wp
 from ....device.kernel import KERNEL_OPTIONS
 from ....device.launches import RepeatedLaunches
 from ....errors import SceneError
+from ....native.structs import to_numpy
 
 # Places to either side in which a cluster looks for its neighbour
 _RADIUS = 16
@@ -289,7 +290,7 @@ def sort_leaves(low: wp.array, high: wp.array) -> tuple[ClusterTree, Clusters]:
     lanes = min(BOUND_LANES, count)
     partial = wp.empty((lanes, 4), dtype=wp.vec3, device=device)
     wp.launch(bounds_kernel, lanes, [low, high, lanes, partial], device=device)
-    rows = partial.numpy()
+    rows = to_numpy(partial)
     box = np.stack([rows[:, 0].min(0), rows[:, 1].max(0)])
     if not np.isfinite(box).all():
         raise SceneError(
@@ -347,7 +348,7 @@ def merge_leaves(tree: ClusterTree, clusters: Clusters, round_limit: int = ROUND
             launches.launch(merge_kernel, count, nodes, own, state, parity, round_limit)
             parity = 1 - parity
             launched += 1
-        count, _, _, tree.round_count = state.numpy()[parity].tolist()
+        count, _, _, tree.round_count = to_numpy(state)[parity].tolist()
 
 
 def _other_turn(clusters: Clusters) -> Clusters:

@@ -18,6 +18,7 @@ import warp as wp
 from ....device.kernel import KERNEL_OPTIONS
 from ....device.launches import RepeatedLaunches
 from ....native.build import native_source
+from ....native.structs import to_numpy
 from ..collapse import CollapseCost
 from ..encode import ENCODE_QUANTISED
 from .clusters import BinaryNodes, half_area
@@ -341,7 +342,7 @@ def collapse(nodes: BinaryNodes, choices: Choices, centre: np.ndarray) -> WideNo
         level.counts, level.offsets = (wp.empty(size, dtype=wp.vec3i, device=device) for _ in range(2))
         wp.launch(count_nodes_kernel, size, [nodes, choices, level], device=device)
         wp.utils.array_scan(level.counts, level.offsets, inclusive=False)
-        inner, leaves, units = (level.offsets[size - 1 :].numpy() + level.counts[size - 1 :].numpy())[0].tolist()
+        inner, leaves, units = (to_numpy(level.offsets[size - 1 :]) + to_numpy(level.counts[size - 1 :]))[0].tolist()
         level.next_first, level.order_first = level_first[-1] + size, unit_count
         level.next_binary = wp.empty(inner, dtype=int, device=device)
         level.nodes = wp.empty(VECTORS_PER_NODE * size, dtype=wp.vec4, device=device)
@@ -356,6 +357,6 @@ def collapse(nodes: BinaryNodes, choices: Choices, centre: np.ndarray) -> WideNo
     together = wp.empty(VECTORS_PER_NODE * level_first[-1], dtype=wp.vec4, device=device)
     for first, block in zip(level_first, blocks):
         wp.copy(together, block, VECTORS_PER_NODE * first)
-    by_level = areas[: len(blocks)].numpy()
+    by_level = to_numpy(areas[: len(blocks)])
     steps, tests = (by_level.sum(0) / by_level[0, 0]).tolist()
     return WideNodes(together, order, level_first, leaf_count, steps, tests)

@@ -13,6 +13,7 @@ import warp as wp
 
 from ....device.kernel import KERNEL_OPTIONS
 from ....native.build import native_source
+from ....native.structs import to_numpy
 from .clusters import BinaryNodes
 
 # Higher trees are given up; their bits are sorted
@@ -98,7 +99,7 @@ def refit(nodes: BinaryNodes, links: ParentLinks) -> None:
 def order_by_height(nodes: BinaryNodes, links: ParentLinks) -> HeightOrder | None:
     """Inner nodes by the heights of `links`; None for a tree too high."""
     device, count = nodes.low.device, nodes.leaf_count - 1
-    highest = int(links.height[count - 1 :].numpy()[0])
+    highest = int(to_numpy(links.height[count - 1 :])[0])
     if highest >= 1 << HEIGHT_BITS:
         return None
     keys, order = (wp.empty(2 * count, dtype=int, device=device) for _ in range(2))
@@ -106,4 +107,4 @@ def order_by_height(nodes: BinaryNodes, links: ParentLinks) -> HeightOrder | Non
     wp.utils.radix_sort_pairs(keys, order, count, 0, HEIGHT_BITS)
     first = wp.empty(highest + 1, dtype=int, device=device)
     wp.launch(run_first_kernel, count, [keys, first], device=device)
-    return HeightOrder(order[:count], [*first.numpy()[1:].tolist(), count])
+    return HeightOrder(order[:count], [*to_numpy(first)[1:].tolist(), count])

@@ -15,6 +15,7 @@ import warp as wp
 
 from ....device.kernel import KERNEL_OPTIONS
 from ....device.launches import RepeatedLaunches
+from ....native.structs import to_numpy
 from .clusters import BinaryNodes, half_area
 from .order import ParentLinks, refit
 
@@ -241,6 +242,6 @@ def reinsert(nodes: BinaryNodes, links: ParentLinks, round_max: int = ROUND_MAX)
         launches.launch(ring_kernel, count, links, moves)
         launches.launch(move_kernel, count, nodes, links, moves)
         refit(nodes, links)
-        if int(moves.count.numpy()[0]) * FEW_MOVES < nodes.leaf_count:
+        if int(to_numpy(moves.count)[0]) * FEW_MOVES < nodes.leaf_count:
             return number + 1
     return round_max

@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 
 from ....device.kernel import KERNEL_OPTIONS
+from ....native.structs import to_numpy
 from ...build.cuda.build import build_mesh
 from ...node import Layout
 from ...treelets.cut import Cut
@@ -158,7 +159,7 @@ def one_treelet(tree: ChunkTree) -> Chunk:
         faces=tree.faces,
         facts=tree.facts,
         levels=1,
-        top_nodes=moved[:_NODE_WORDS].numpy().reshape(1, -1).copy(),
+        top_nodes=to_numpy(moved[:_NODE_WORDS]).reshape(1, -1).copy(),
         top_treelet=np.zeros(1, np.int32),
         treelet_root=np.zeros(1, np.int32),
         top_triangles=np.zeros((0, 4 * _TRIANGLE_VECTORS), np.float32),
@@ -190,7 +191,7 @@ def in_treelets(tree: ChunkTree, cut: Cut) -> Chunk:
         top_nodes=cut.top_nodes,
         top_treelet=cut.top_treelet,
         treelet_root=cut.treelet_root,
-        top_triangles=gathered(0, top).numpy().reshape(-1, 4 * _TRIANGLE_VECTORS),
+        top_triangles=to_numpy(gathered(0, top)).reshape(-1, 4 * _TRIANGLE_VECTORS),
         nodes=cut.nodes,
         node_first=cut.node_first,
         triangles=gathered(top, count),

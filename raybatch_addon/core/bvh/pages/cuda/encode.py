@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from ....device.kernel import KERNEL_OPTIONS
+from ....native.structs import to_numpy
 from ..encode import BLOCK_BITS, BLOCK_VERTICES_MAX, HEADER_WORDS
 
 _NO_VERTEX = wp.constant(2**31 - 1)
@@ -127,7 +128,7 @@ def encode_on_device(triangles: wp.array, vertices: wp.array) -> wp.array:
             break
         wp.launch(list_vertices_kernel, 3 * count, [blocks], device=device)
         wp.launch(rank_vertices_kernel, 3 * count, [blocks], device=device)
-        found = blocks.found.numpy().tolist()
+        found = to_numpy(blocks.found).tolist()
         if found[0] <= BLOCK_VERTICES_MAX:
             break
     wide = found[1] >= 1 << 24

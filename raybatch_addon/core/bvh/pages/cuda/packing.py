@@ -8,6 +8,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 import numpy as np
 import warp as wp
 
+from ....native.structs import to_numpy
 from ...node import Layout
 from ..chunk import Chunk
 from ..packing import NoStore, PackedPage, PageTarget
@@ -100,7 +101,7 @@ class DevicePacker:
             _bring(self._buffer, nodes, triangles, page.node_bytes)
             if self._device.is_cuda:
                 wp.synchronize_event(self._device.stream.record_event())
-            first = self._target.add_page(self._buffer.numpy()[:size], page.node_bytes)
+            first = self._target.add_page(to_numpy(self._buffer)[:size], page.node_bytes)
         return page._replace(node_byte=first, triangle_byte=first + page.node_bytes)
 
 
@@ -130,7 +131,7 @@ def _bring(memory: wp.array, nodes: list[wp.array], triangles: wp.array, node_by
     for block in nodes:
         wp.copy(memory, block, dest_offset=end, count=block.size)
         end += block.size
-    host = memory.numpy()
+    host = to_numpy(memory)
     host[end:node_bytes] = 0
     if triangles.size:
         wp.copy(memory, triangles, dest_offset=node_bytes, count=triangles.size)

@@ -19,6 +19,7 @@ import warp as wp
 from ....device.devices import load_module, worker_count
 from ....device.locked import locked_empty
 from ....errors import check_cancelled
+from ....native.structs import to_numpy
 from ...build.cuda.order import run_first_kernel
 from .cells import (
     CellGrid,
@@ -91,7 +92,7 @@ class HostTriangles:
             found, rows = [], wp.empty((1, 2), dtype=wp.vec3, device="cpu")
             for start, size in parts:
                 wp.launch(middle_bounds_kernel, 1, [self.mesh, listed, start, size, 1, rows], device="cpu")
-                found.append(rows.numpy()[0].copy())
+                found.append(to_numpy(rows)[0].copy())
             return found
 
         found = np.array([row for rows in self._share(count, run) for row in rows])
@@ -105,7 +106,7 @@ class HostTriangles:
             held = wp.zeros(_cell_count(grid) + 1, dtype=int, device="cpu")
             for start, size in parts:
                 wp.launch(cells_kernel, size, [self.mesh, grid, listed, start, cells, held], device="cpu")
-            return held.numpy()
+            return to_numpy(held)
 
         return np.sum(self._share(count, run), 0, dtype=np.int64)
 
@@ -120,7 +121,7 @@ class HostTriangles:
             counts = wp.zeros(label_count, dtype=int, device="cpu")
             for start, size in parts:
                 wp.launch(count_labels_kernel, size, [own, cells, start, counts], device="cpu")
-            return counts.numpy()
+            return to_numpy(counts)
 
         counts = np.array(self._share(count, counted), np.int64)
         ends = np.cumsum(counts.sum(0))
@@ -132,7 +133,7 @@ class HostTriangles:
                 wp.launch(scatter_kernel, size, [own, cells, listed, start, index, order], device="cpu")
 
         self._share(count, scatter, firsts)
-        return np.split(order.numpy(), ends[:-1])
+        return np.split(to_numpy(order), ends[:-1])
 
     def _listed(self, numbers: np.ndarray | None) -> tuple[wp.array, int]:
         if numbers is None:
@@ -172,7 +173,7 @@ class CudaTriangles:
             lanes = min(_LANES, size)
             rows = wp.empty((lanes, 2), dtype=wp.vec3, device=self.device)
             wp.launch(middle_bounds_kernel, lanes, [self.mesh, listed, start, size, lanes, rows], device=self.device)
-            found.append(rows.numpy())
+            found.append(to_numpy(rows))
         return np.min([rows[:, 0].min(0) for rows in found], 0), np.max([rows[:, 1].max(0) for rows in found], 0)
 
     def held(self, numbers: np.ndarray | None, grid: CellGrid) -> np.ndarray:
@@ -180,7 +181,7 @@ class CudaTriangles:
         held = wp.zeros(_cell_count(grid) + 1, dtype=int, device=self.device)
         for listed, start, size in self._slices(numbers):
             wp.launch(cells_kernel, size, [self.mesh, grid, listed, start, none, held], device=self.device)
-        self._held = held.numpy().astype(np.int64)
+        self._held = to_numpy(held).astype(np.int64)
         return self._held
 
     def with_labels(
@@ -200,9 +201,9 @@ class CudaTriangles:
                 first = wp.full(label_count, -1, dtype=int, device=device)
                 wp.launch(run_first_kernel, size, [keys, first], device=device)
                 wp.copy(on_host, order, count=size)
-                starts = first.numpy()
+                starts = to_numpy(first)
                 there = np.flatnonzero(starts >= 0)
-                parts = np.split(on_host.numpy()[:size], starts[there][1:])
+                parts = np.split(to_numpy(on_host)[:size], starts[there][1:])
                 targets = [out[place[label] : place[label] + len(part)] for label, part in zip(there, parts)]
                 list(pool.map(np.copyto, targets, parts))
                 place[there] += [len(part) for part in parts]

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 import warp as wp
 
+from ....native.structs import to_numpy
 from ..store import PAGE_ALIGNMENT, HostStore, Page, bytes_of_rows, padded, page_rows
 from ..tables import PageTables
 
@@ -88,7 +89,7 @@ class PeerStore:
             wp.copy(target, wp.array(memory, dtype=wp.uint8, device="cpu", copy=False))
             wp.synchronize_stream(target.device.stream)  # the next page overwrites what was copied
         else:
-            target.numpy()[: len(memory)] = memory
+            to_numpy(target)[: len(memory)] = memory
         self._firsts.append(self.byte_count)
         self._places.append(place)
         self._memory.append(target)
@@ -144,7 +145,7 @@ class PeerPlace:
         """See `PageStore`."""
         part, target = self.view(page), host[: page.byte_count]
         if not part.device.is_cuda:
-            target[:] = part.numpy()
+            target[:] = to_numpy(part)
             return
         wp.copy(wp.array(target, dtype=wp.uint8, device="cpu", copy=False), part)
         wp.synchronize_stream(part.device.stream)

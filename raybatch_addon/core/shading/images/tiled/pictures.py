@@ -13,6 +13,7 @@ import numpy as np
 import warp as wp
 
 from ....device.locked import OWN_PAGES_LEAST, locked_empty, locked_view
+from ....native.structs import to_numpy
 from ....scene.description import ImageEncoding
 from ....scene.frozen import is_frozen
 from ..levels import FilteredImage, ImageLevels, coarser_levels, level_encoding
@@ -132,7 +133,7 @@ def read_by(pixels: np.ndarray, device: wp.Device) -> wp.array | None:
     if there is None and rows.nbytes < OWN_PAGES_LEAST:
         with contextlib.suppress(MemoryError, RuntimeError):
             there = locked_empty(rows.shape, wp.uint8)
-            there.numpy()[:] = rows
+            to_numpy(there)[:] = rows
     return there
 
 

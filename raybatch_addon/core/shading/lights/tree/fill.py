@@ -11,6 +11,7 @@ import warp as wp
 from ....device.bulk import in_slices, large_empty
 from ....device.devices import load_module
 from ....device.launches import RepeatedLaunches
+from ....native.structs import to_numpy
 from ..choice_table import BLOCK_WIDTH, FIELDS, ChoiceTable
 from ..tree.kernels import (
     EmitterBoxes,
@@ -47,7 +48,7 @@ def fill_blocks(choice: ChoiceTable, boxes: EmitterBoxes, alike: Sequence[Alike]
     if device.is_cuda:
         topology = topology_on_cuda(boxes.low, boxes.high)
     else:
-        topology = topology_on_cpu(boxes.low.numpy(), boxes.high.numpy(), alike)
+        topology = topology_on_cpu(to_numpy(boxes.low), to_numpy(boxes.high), alike)
     tree = LightBlocks()
     tree.leaf_count, tree.root = count, topology.root
     tree.nodes = _joined(topology, boxes)
@@ -90,16 +91,16 @@ def _find_blocks(tree: LightBlocks) -> int:
         tree.block_node = found.block_node
         return end
     # threads of a CPU go on side by side, and count by themselves
-    parts = np.array_split(found.block_node.numpy()[first:end], _NODES_APART // _NODES_TOGETHER)
+    parts = np.array_split(to_numpy(found.block_node)[first:end], _NODES_APART // _NODES_TOGETHER)
     lower: list[np.ndarray] = [parts[0]] * len(parts)
 
     def go_on(which: slice) -> None:
         for k in range(which.start, which.stop):
             below, _, last = _go_down(tree, parts[k], most)
-            lower[k] = below.block_node.numpy()[len(parts[k]) : last].copy()
+            lower[k] = to_numpy(below.block_node)[len(parts[k]) : last].copy()
 
     in_slices(len(parts), go_on, 1)
-    blocks, block_of = [found.block_node.numpy()[:end], *lower], tree.block_of.numpy()
+    blocks, block_of = [to_numpy(found.block_node)[:end], *lower], to_numpy(tree.block_of)
     for nodes in lower:
         block_of[nodes - tree.leaf_count] = np.arange(end, end + len(nodes))
         end += len(nodes)
@@ -125,7 +126,7 @@ def _go_down(tree: LightBlocks, begin: np.ndarray, enough: int) -> tuple[LightBl
             wp.copy(room, found.block_node, count=end)
             found.block_node = room
         wp.launch(find_blocks_kernel, end - first, [found, first], device=device)
-        first, end = end, int(found.block_count.numpy()[0])
+        first, end = end, int(to_numpy(found.block_count)[0])
     return found, first, end
 
 
@@ -152,7 +153,7 @@ def _allocate(choice: ChoiceTable, block_count: int, device: wp.Device) -> None:
 
 def _group(choice: ChoiceTable) -> None:
     """Find the groups of the topmost nodes of `choice`, whose blocks are filled in."""
-    top = choice.blocks[: BLOCK_WIDTH * len(FIELDS)].numpy()
+    top = to_numpy(choice.blocks[: BLOCK_WIDTH * len(FIELDS)])
     groups, there = top_groups(top)
     choice.hidden_with = wp.array(groups, dtype=int, device=choice.blocks.device)
     choice.group_count, choice.top_count = len(np.unique(groups[there])), len(there)

@@ -13,6 +13,7 @@ import numpy as np
 import warp as wp
 
 from ....bvh.tree import DONE, NEW
+from ....native.structs import to_numpy
 
 # Entries of `Blocks.state`
 FREE, OVERFLOW, IN_USE_PEAK, SHORT, WAIT_MAX, STEP, WAITING, STATE_SIZE = range(8)
@@ -192,7 +193,7 @@ def clear_blocks(blocks: Blocks) -> None:
     if blocks.overflow_link.size:
         blocks.overflow_link.assign(np.append(np.arange(1, overflow, dtype=np.int32), np.int32(-1)))
         blocks.overflow_first[-1:].zero_()
-    state = blocks.state.numpy().copy()
+    state = to_numpy(blocks.state).copy()
     state[FREE], state[OVERFLOW], state[WAITING] = block_count, 0, 0
     blocks.state.assign(state)
 
@@ -244,9 +245,9 @@ class BlockCheck:
     def _look(self) -> None:
         blocks, size = self._blocks, self._blocks.queue_size
         owner, counts, in_blocks, state = (
-            each.numpy() for each in (blocks.owner, blocks.counts, blocks.in_blocks, blocks.state)
+            to_numpy(each) for each in (blocks.owner, blocks.counts, blocks.in_blocks, blocks.state)
         )
-        queue_total, free = len(counts), blocks.free.numpy()[: state[FREE]]
+        queue_total, free = len(counts), to_numpy(blocks.free)[: state[FREE]]
         is_free = np.zeros(len(owner), bool)
         is_free[free] = True
         assert is_free.sum() == len(free), f"blocks {_some(_repeated(free))} are free twice"
@@ -263,7 +264,7 @@ class BlockCheck:
         assert not len(wrong), (
             f"queues {_some(wrong)} have {_some(owned[wrong])} blocks for {_some(in_blocks[wrong])} rays"
         )
-        overflow = blocks.overflow_queue.numpy()
+        overflow = to_numpy(blocks.overflow_queue)
         over = np.bincount(overflow[overflow >= 0], minlength=queue_total)
         wrong = np.flatnonzero(counts != in_blocks + over)
         assert not len(wrong), (
@@ -277,7 +278,7 @@ class BlockCheck:
         filled = np.flatnonzero(overflow >= 0)
         entry = np.concatenate([entry, blocks.overflow_at + filled])
         queue = np.concatenate([queue, overflow[filled]])
-        slots = blocks.slots.numpy()[entry]
+        slots = to_numpy(blocks.slots)[entry]
         assert len(np.unique(slots)) == len(slots), f"rays {_some(_repeated(slots))} wait twice"
         wrong = slots[self._queue[slots] != queue]
         assert not len(wrong), f"rays {_some(wrong)} wait in queues other than those that they were put into"
@@ -287,11 +288,11 @@ class BlockCheck:
     def _entries(self, owner: np.ndarray, in_blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Entries of blocks that hold rays, and their queues."""
         blocks, size = self._blocks, self._blocks.queue_size
-        last = blocks.open.numpy()
+        last = to_numpy(blocks.open)
         if blocks.first.size:
             rank = _ranks_of_chains(blocks, owner, in_blocks)
         else:
-            rank = blocks.link.numpy()
+            rank = to_numpy(blocks.link)
         used = np.flatnonzero(owner >= 0)
         number = rank[used] * np.int64(len(in_blocks)) + owner[used]
         assert len(np.unique(number)) == len(used), "two blocks have the same number in their queue"
@@ -309,7 +310,7 @@ class BlockCheck:
 
 def _ranks_of_chains(blocks: Blocks, owner: np.ndarray, in_blocks: np.ndarray) -> np.ndarray:
     rank = np.full(len(owner), -1, np.int64)
-    first, link = blocks.first.numpy(), blocks.link.numpy()
+    first, link = to_numpy(blocks.first), to_numpy(blocks.link)
     for queue in np.flatnonzero(in_blocks):
         block = first[queue]
         for number in range(-(-int(in_blocks[queue]) // blocks.queue_size)):

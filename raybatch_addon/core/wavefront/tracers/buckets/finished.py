@@ -6,6 +6,7 @@ import warp as wp
 
 from ....device.kernel import KERNEL_OPTIONS
 from ....device.launches import RepeatedLaunches
+from ....native.structs import to_numpy
 from ....rays import RayKind, RayList
 from .scan import Scan
 
@@ -71,7 +72,7 @@ class FinishedLists:
 
     def fetch(self) -> list[tuple[RayKind, RayList]]:
         """The lists that have rays; waits for the device."""
-        lengths = self._lengths.numpy().tolist()
+        lengths = to_numpy(self._lengths).tolist()
         return [
             (kind, RayList(self._lists[k], self._lengths[k : k + 1], length))
             for k, (kind, length) in enumerate(zip(self._kinds, lengths))

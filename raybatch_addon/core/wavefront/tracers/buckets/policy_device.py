@@ -8,6 +8,7 @@ from __future__ import annotations
 import warp as wp
 
 from ....device.kernel import KERNEL_OPTIONS
+from ....native.structs import to_numpy
 from .blocks import OVERFLOW, STEP, WAITING, Blocks
 from .policy import Selection, Step
 
@@ -240,7 +241,7 @@ class DevicePolicy:
         state.sizes = wp.array(self.sizes, dtype=int, device=device)
         state.branches = wp.zeros(2 * len(self.sizes), dtype=int, device=device)
         # a CPU's memory is the host's
-        self._on_host = state.choice.numpy() if device.is_cpu else None
+        self._on_host = to_numpy(state.choice) if device.is_cpu else None
 
     def begin(self, target: int, budget: int = -1) -> None:
         """Nothing is chosen any more when `target` rays are done, or the device has taken `budget` steps by itself (-1:
@@ -250,7 +251,7 @@ class DevicePolicy:
 
     def fetch(self) -> list[int]:
         """`PolicyState.choice`."""
-        return (self._on_host if self._on_host is not None else self.state.choice.numpy()).tolist()
+        return (self._on_host if self._on_host is not None else to_numpy(self.state.choice)).tolist()
 
     def launch(self) -> None:
         """Choose for the step that is written in the queues' state."""

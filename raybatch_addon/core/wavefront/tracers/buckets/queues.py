@@ -9,6 +9,7 @@ import warp as wp
 
 from ....device.kernel import KERNEL_OPTIONS
 from ....device.launches import RepeatedLaunches
+from ....native.structs import to_numpy
 from ....rays import DeviceRayList, RayList
 from .blocks import (
     IN_USE_PEAK,
@@ -91,13 +92,13 @@ class BucketQueues:
         if not self._parallel:
             # what the host looks at after every step, without a copy
             self._state, self._counts, self._count = (
-                self.blocks.state.numpy(),
-                self.blocks.counts.numpy(),
-                self.taken.count.numpy(),
+                to_numpy(self.blocks.state),
+                to_numpy(self.blocks.counts),
+                to_numpy(self.taken.count),
             )
             self._chosen = wp.zeros(queue_total, dtype=int, device=device)
             self._launches = RepeatedLaunches(device)
-            self._chosen_view = self._chosen.numpy()
+            self._chosen_view = to_numpy(self._chosen)
 
     @property
     def counts(self) -> wp.array:
@@ -106,7 +107,7 @@ class BucketQueues:
 
     def fetch_counts(self) -> np.ndarray:
         """A copy of `counts` on the host."""
-        return self._counts.copy() if not self._parallel else self.blocks.counts.numpy().copy()
+        return self._counts.copy() if not self._parallel else to_numpy(self.blocks.counts).copy()
 
     def put(self, batch: RayList, rule: QueueRule = SAME, pool_index: wp.array | None = None) -> None:
         """The rays of `batch` wait in queues from now on. `pool_index` receives the entries of the pool in which they
@@ -181,14 +182,14 @@ class BucketQueues:
 
     def fetch_state(self) -> np.ndarray:
         """`Blocks.state` on the host."""
-        return self._state if not self._parallel else self.blocks.state.numpy()
+        return self._state if not self._parallel else to_numpy(self.blocks.state)
 
     def totals(self) -> dict[str, int]:
         """For `BatchingTotals`."""
         state = self.fetch_state()
         names = {"blocks_peak": IN_USE_PEAK, "blocks_short": SHORT, "wait_max": WAIT_MAX}
         counts = {name: int(state[place]) for name, place in names.items()}
-        return counts | {"rays_queued": int(self.blocks.put.numpy()[0]), "block_count": self.size.block_count}
+        return counts | {"rays_queued": int(to_numpy(self.blocks.put)[0]), "block_count": self.size.block_count}
 
     @property
     def waiting(self) -> int:
@@ -202,9 +203,9 @@ class BucketQueues:
 
     def _seen(self, batch: RayList) -> tuple[np.ndarray, np.ndarray]:
         """Copies of slots and locations of a batch."""
-        count = int(batch.count.numpy()[0])
+        count = int(to_numpy(batch.count)[0])
         assert count <= batch.bound, f"a batch of {count} rays says that there are {batch.bound} at most"
-        return batch.slots.numpy()[:count].copy(), batch.locations.numpy()[:count].copy()
+        return to_numpy(batch.slots)[:count].copy(), to_numpy(batch.locations)[:count].copy()
 
 
 @wp.kernel(**KERNEL_OPTIONS)

@@ -12,6 +12,7 @@ from ....bvh.traverse.task import VisitTask
 from ....device.kernel import KERNEL_OPTIONS
 from ....device.launches import RepeatedLaunches
 from ....measure.timing import NoTimer, StageTimer
+from ....native.structs import to_numpy
 from ....rays import DeviceRayList, RayList
 from .blocks import Blocks, QueueRule
 from .blocks_host import host_put_kernel, take_queue
@@ -116,7 +117,7 @@ class FusedSteps:
         rays = queues.taken
         rays.pool_index = queues.nowhere
         self._policy, self._server, self._timer = policy, server, timer
-        self._rays, self._count = rays, rays.count.numpy()
+        self._rays, self._count = rays, to_numpy(rays.count)
         self._take = RepeatedLaunches(queues.device)
         self._take_inputs = (queues.blocks, rules.entry, rays, policy.state)
         # one each, so that the rule of a kept launch stays

@@ -20,6 +20,7 @@ from ....bvh.traverse.task import VisitTask
 from ....bvh.treelets.tree import TreeletTree
 from ....measure.batching import BatchingTotals
 from ....measure.timing import NoTimer
+from ....native.structs import to_numpy
 from ....rays import NO_ANY_HIT, RayKind, RayList
 from ....settings.settings import RenderSettings
 from ...plan.launch import Launch
@@ -343,7 +344,7 @@ class BatchingTracer:
         totals.rays = totals.finished + self._storage.under_way(queues.waiting) + self._forgotten
         # rays that are done wait in a queue too, which is none of those that cost
         totals.rays_queued -= totals.finished + int(queues.fetch_counts()[self._numbers.done]) + self._forgotten_done
-        totals.treelet_visits = int(self._storage.progress.visits.numpy()[0])
+        totals.treelet_visits = int(to_numpy(self._storage.progress.visits)[0])
         self._count_steps()
         return totals.merge(BatchingTotals())
 

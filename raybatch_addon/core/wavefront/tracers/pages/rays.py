@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from ....bvh.tree import DONE, NEW
+from ....native.structs import to_numpy
 from ....rays import DeviceRayList, RayList
 from .kernels import (
     CHUNKS_MOST,
@@ -62,7 +63,7 @@ class PendingCounts:
         """The counts, once they are there."""
         if self.arrived is not None:
             wp.synchronize_event(self.arrived)
-        values = self.values.numpy()
+        values = to_numpy(self.values)
         idle, new, closest, shadow = values[:CLASS_PAGES].tolist()
         return RayCounts(
             idle=idle,
@@ -180,7 +181,7 @@ class WaitingRays:
 
     def check(self, counts: RayCounts) -> None:
         """Every slot is in one class, and the counts agree; raises AssertionError that says what is wrong."""
-        location, page_of = self._waiting.location.numpy(), self._page_of.numpy()
+        location, page_of = to_numpy(self._waiting.location), to_numpy(self._page_of)
         known = location.min() >= IDLE and location.max() < len(page_of)
         assert known, f"a ray waits for treelet {location.max()} of {len(page_of)}, or in {location.min()}"
         found = np.bincount(page_of[location[location >= 0]], minlength=self._classes - CLASS_PAGES)
@@ -194,13 +195,13 @@ class WaitingRays:
         }
         wrong = {name: pair for name, pair in counted.items() if pair[0] != pair[1]}
         assert not wrong, f"counts of rays and rays differ (counted, found): {wrong}"
-        slots = self._batch.slots.numpy()[: counts.taken]
+        slots = to_numpy(self._batch.slots)[: counts.taken]
         assert len(np.unique(slots)) == len(slots), "a ray was taken twice"
 
     def check_idle(self, rays: RayList) -> None:
         """The slots that are listed hold none of these rays, and each stands there once."""
-        slots = rays.slots.numpy()[: int(rays.count.numpy()[0])]
-        busy = self._waiting.location.numpy()[slots] != IDLE
+        slots = to_numpy(rays.slots)[: int(to_numpy(rays.count)[0])]
+        busy = to_numpy(self._waiting.location)[slots] != IDLE
         assert not busy.any(), (
             f"{busy.sum()} rays come in that are under way already, the first in slot {slots[busy][0]}"
         )

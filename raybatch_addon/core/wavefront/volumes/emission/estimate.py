@@ -12,6 +12,7 @@ import warp as wp
 
 from ....device.devices import load_module
 from ....device.kernel import KERNEL_OPTIONS
+from ....native.structs import to_numpy
 from ....scene.description import ClosureKind, Scene, Volume
 from ....shading.volumes.enclosures import AHEAD, FARTHEST
 from ..bounds import CELL_POINTS, CELLS_MOST, Bounded, largest_of_cells, point_of_cell, slots_of
@@ -159,7 +160,7 @@ class Estimates:
             asked = wp.array(rows[these, 1:].astype(np.float32), dtype=wp.vec4, device=self._device)
             found = wp.zeros(len(these) * parts.count**3, dtype=float, device=self._device)
             wp.launch(inside_kernel, len(found), [surface.id, asked, parts.count, found], device=self._device)
-            result[these] = found.numpy().reshape(len(these), -1)
+            result[these] = to_numpy(found).reshape(len(these), -1)
         return result[row_of.ravel()]
 
     def _evaluated(
@@ -179,7 +180,7 @@ class Estimates:
         world, volumes.world, volumes.asked = volumes.world, -1, asked
         self._launch(volumes, len(of) * count**3)
         volumes.asked, volumes.world = BoundWork(), world
-        found, emitted = largest_of_cells(asked.found), asked.emitted.numpy().astype(np.float64)
+        found, emitted = largest_of_cells(asked.found), to_numpy(asked.emitted).astype(np.float64)
         return found.reshape(len(of), -1), emitted.reshape(len(of), -1, 2)
 
 

@@ -7,6 +7,7 @@ import warp as wp
 
 from .....device.kernel import KERNEL_OPTIONS
 from .....measure.timing import NoTimer, StageTimer
+from .....native.structs import to_numpy
 from ..blocks import OVERFLOW, STEP
 from ..policy import QueueNumbers, Step
 from ..policy_device import AMOUNT, BUDGET, CHOICE_SIZE, QUEUE, STEP_KIND
@@ -90,7 +91,7 @@ class AssignedSteps:
         """Queues whose rays waited for as long as they may, and where blocks ran out that of the fullest bucket."""
         urgent, state = np.zeros(0, np.int64), self._queues.fetch_state()
         if self._wait_max:
-            waited = int(state[STEP]) - self._queues.blocks.since.numpy()
+            waited = int(state[STEP]) - to_numpy(self._queues.blocks.since)
             urgent = np.flatnonzero((counts > 0) & (waited > self._wait_max))
         if state[OVERFLOW] > 0:
             urgent = np.union1d(urgent, self._fuller_queues(counts, loads.argmax(keepdims=True)))

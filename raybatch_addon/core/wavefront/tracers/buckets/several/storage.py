@@ -10,6 +10,7 @@ import warp as wp
 from .....bvh.traverse.counts import TraceCounts, counts_of
 from .....bvh.tree import Tree
 from .....device.launches import RepeatedLaunches
+from .....native.structs import to_numpy
 from .....rays import NO_ANY_HIT, DeviceRayList, RayList, Rays
 from ....rays import RayNeeds, allocate_progress, allocate_rays
 from ..blocks import QueueRule
@@ -98,7 +99,7 @@ class RayCopies(InPlace):
 
     def under_way(self, waiting: int) -> int:
         """See `Storage.under_way`."""
-        return int(np.count_nonzero(self._copies.waiting.numpy()))
+        return int(np.count_nonzero(to_numpy(self._copies.waiting)))
 
     def clear(self) -> None:
         """See `Storage.clear`."""
