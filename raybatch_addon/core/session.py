@@ -30,7 +30,7 @@ from .programs.requests import prepared_scene
 from .scene.description import Scene
 from .scene.features import SceneFeatures, derive_features
 from .scene.validate import checked_scene
-from .session_device import Place, SessionDevice, geometry_in_common, least_image_budget
+from .session_device import Place, SessionDevice, geometry_in_common, least_image_budget, make_workers_of
 from .settings.settings import RenderSettings
 from .wavefront.adaptive.active_pixels import ActivePixels
 from .wavefront.adaptive.ranges import check_after, chosen_looks, pixels_can_end
@@ -314,8 +314,8 @@ class Session:
     def _render(self, job: Job, places: list[Place], state: ResumeState, film: Film) -> None:
         """Let the workers of all places render what is left of `state`."""
         job.parts.enter("paths")
+        make_workers_of(places, state)
         for place in places:
-            place.make_workers(state)
             found = place.scene.warnings + (place.job.warnings if place.job is not job else [])
             job.warnings += [each for each in found if each not in job.warnings]
         integrators = [each for place in places for each in place.integrators]

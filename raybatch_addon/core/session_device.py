@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, wait
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -190,6 +190,19 @@ def _pages_in_common(jobs: Sequence[Job], devices: Sequence[wp.Device], shared: 
         if job.plan.geometry_store == "PEERS":
             job.plan = replace(job.plan, geometry_store="HOST")
     return [None] * len(jobs)
+
+
+def make_workers_of(places: Sequence[Place], state: ResumeState) -> None:
+    """Workers of all places for the tiles of `state`, side by side; where rays wait, one place after the other, since
+    what is captured is given up on the thread that made it.
+    """
+    if len(places) == 1 or places[0].scene.tracing.waits:
+        for place in places:
+            place.make_workers(state)
+        return
+    with ThreadPoolExecutor(len(places), thread_name_prefix="RayBatch device") as pool:
+        for made in [pool.submit(place.make_workers, state) for place in places]:
+            made.result()
 
 
 @dataclass

@@ -114,24 +114,32 @@ def test_amdahls_law_and_its_inverse():
     assert devices.amdahl(4, 0.0) == 4.0 and devices.amdahl(4, 1.0) == 1.0
     assert devices.amdahl(math.inf, 0.05) == pytest.approx(20.0)
     assert devices.serial_share(4, devices.amdahl(4, 0.07)) == pytest.approx(0.07)
-    assert devices.process_seconds(10.0, 1, 0.3) == pytest.approx(10.0)
+
+
+def test_one_gpu_takes_its_time_whatever_is_shared():
+    assert devices.process_seconds(devices.Shared("one", 1024, 10.0, 40, 1), 0.3) == pytest.approx(10.0)
+
+
+def test_parts_bring_gpus_to_the_end_together():
+    """Eight GPUs and 128 tiles, some of which take twice as long: whole tiles as they come would end later."""
+    tiles = np.random.default_rng(3).uniform(1.0, 2.0, 128).tolist()
+    least, whole = sum(tiles) / 8, devices.listed(tiles, [1.0] * 8)
+    assert least <= devices.dealt_seconds(tiles, 1024, 8) < 1.01 * least < whole
+    assert devices.dealt_seconds([3.0, 1.0], 16, 1) == pytest.approx(4.0)  # two workers share a GPU
 
 
 def test_what_was_not_measured_is_predicted_from_what_was():
-    serial = devices.serial_share(*jobs.MEASURED[jobs.FITTED][2:])
-    for name, seconds, count in jobs.PREDICTED:
-        assert count > max(each[2] for each in jobs.MEASURED), name
-        found = seconds / devices.process_seconds(seconds, count, serial)
-        # tiles that end late cost something beyond the share that is not shared
-        assert 0.95 * devices.amdahl(count, serial) < found < devices.amdahl(count, serial)
+    serial = devices.serial_share(jobs.FITTED.gpus, jobs.FITTED.speedup)
+    for case in jobs.PREDICTED:
+        assert not case.speedup and case.gpus > max(each.gpus for each in jobs.MEASURED), case
+        assert results.speedup(case) == pytest.approx(devices.amdahl(case.gpus, serial), rel=0.03), case
 
 
 def test_measured_speedups_are_met():
     """Those of GPUs of a process within 6 percent, by one figure of theirs; those of two workers within 10."""
-    serial = devices.serial_share(*jobs.MEASURED[jobs.FITTED][2:])
-    for name, seconds, count, measured in jobs.MEASURED:
-        found = seconds / devices.process_seconds(seconds, count, serial)
-        assert found == pytest.approx(measured, rel=0.06), name
+    for case in jobs.MEASURED:
+        assert results.speedup(case) == pytest.approx(case.speedup, rel=0.06), case
+    assert results.speedup(jobs.FITTED) == pytest.approx(jobs.FITTED.speedup)
     costs = results.costs_of(read_report(ROOT / "docs/studies/data/many-workers-cpu.json"))
     for alone, measured in jobs.LOCAL:
         assert jobs.LOCAL_START + simulated(costs, *jobs.local_job(alone)).seconds == pytest.approx(measured, rel=0.1)

@@ -14,7 +14,7 @@ import numpy as np
 import warp as wp
 
 from ..device.kernel import KERNEL_OPTIONS
-from ..native.structs import copied_to, struct_on, to_numpy
+from ..native.structs import moved_to, struct_on, to_numpy
 from ..scene.passes import matte_kinds
 from .channels import ChannelLayout
 from .host_samples import HostSamples
@@ -327,7 +327,7 @@ class FinishedTile:
         """A copy on `device` to which more can be added, apart from this tile. Not of a sum of halves."""
         made = copy.copy(self)
         made.film = struct_on(self.film, device)
-        made.cost = None if self.cost is None else copied_to(self.cost, device)
+        made.cost = None if self.cost is None else moved_to(self.cost, device)
         return made
 
     def fetch(self) -> HostSamples:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from studies.many_workers.devices import Shared
 from studies.many_workers.model import Job, Site
 
 GPUS = (8, 64, 512)
@@ -19,22 +20,19 @@ FRAMES = 48
 STILLS = {"still, 60 s": 60.0, "still, 10 min": 600.0, "still, 5 h": 18_000.0}
 ANIMATION = f"animation, {FRAMES} frames of 60 s"
 
-# Speedups that were measured on H100s of one host, the last on H200s (docs/devices.md): seconds of one GPU, GPUs, and
-# how much sooner. Seconds of one are known for the demo; the BMW's are assumed, and matter little
+# Speedups of rendering that were measured on two H200s of one host (docs/devices.md), and seconds of one of them
 MEASURED = (
-    ("demo, 1024 samples", 45.7, 2, 1.94),
-    ("demo, 1024 samples", 45.7, 4, 3.64),
-    ("demo, 256 samples", 11.4, 2, 1.96),
-    ("demo, 256 samples", 11.4, 4, 3.69),
-    ("BMW, 1024 samples", 180.0, 2, 2.05),
-    ("BMW, 1024 samples", 180.0, 4, 3.62),
-    ("BMW, 256 samples", 45.0, 2, 2.03),
-    ("BMW, 256 samples", 45.0, 4, 3.81),
-    ("demo, 192 samples", 8.32, 2, 1.93),
+    Shared("demo", 1024, 39.8, 135, 2, 1.975),
+    Shared("BMW", 1024, 50.4, 135, 2, 1.968),
+    Shared("demo", 256, 10.0, 40, 2, 1.97),
+    Shared("BMW", 256, 12.5, 40, 2, 1.87),
 )
-FITTED = 1  # the row of it that the serial share was taken from
-# What was not measured, and is predicted: seconds of one GPU, and GPUs
-PREDICTED = (("demo, 1024 samples", 45.7, 8), ("BMW, 1024 samples", 180.0, 8))
+FITTED = MEASURED[0]  # the row of it from which the share is taken that is not shared
+# What was not measured, and is predicted
+PREDICTED = (
+    *(Shared("demo", 1024, 39.8, 135, gpus) for gpus in (4, 8)),
+    *(Shared("BMW", 1024, 50.4, 135, gpus) for gpus in (4, 8)),
+)
 # Two workers on two cores beside one process with two threads, seconds of this and of them: a sample takes a worker
 # 1.16 times as long, and the workers start for six seconds
 LOCAL = ((32.0, 42.0), (95.0, 127.0))

@@ -87,18 +87,28 @@ def _parts(costs: Costs) -> str:
     return table(["part", "takes", ""], rows)
 
 
+def not_shared() -> float:
+    """The share of one GPU's time that others do not take over: with it `jobs.FITTED` is as it was measured."""
+    case = jobs.FITTED
+    evenly = devices.process_seconds(case, 0.0) / case.seconds
+    return (1.0 / case.speedup - evenly) / (1.0 - evenly)
+
+
+def speedup(case: devices.Shared) -> float:
+    """Of GPUs of a process, as simulated."""
+    return case.seconds / devices.process_seconds(case, not_shared())
+
+
 def _judged(costs: Costs) -> str:
-    rows = []
-    serial = devices.serial_share(*jobs.MEASURED[jobs.FITTED][2:])
-    for i, (name, seconds, count, measured) in enumerate(jobs.MEASURED):
-        found = seconds / devices.process_seconds(seconds, count, serial)
-        law = devices.amdahl(count, serial)
-        what = f"{name}, {count} GPUs of a process{' (the share is of this)' if i == jobs.FITTED else ''}"
-        rows.append([what, f"{measured:.2f}", f"{found:.2f}", f"{found / measured - 1:+.1%}", f"{law:.2f}"])
-    for name, seconds, count in jobs.PREDICTED:
-        found = seconds / devices.process_seconds(seconds, count, serial)
-        law = devices.amdahl(count, serial)
-        rows.append([f"{name}, {count} GPUs of a process (predicted)", "", f"{found:.2f}", "", f"{law:.2f}"])
+    rows, serial = [], devices.serial_share(jobs.FITTED.gpus, jobs.FITTED.speedup)
+    for case in jobs.MEASURED:
+        found, law = speedup(case), devices.amdahl(case.gpus, serial)
+        what = f"{case.words}{' (the share is of this)' if case is jobs.FITTED else ''}"
+        error = f"{found / case.speedup - 1:+.1%}"
+        rows.append([what, f"{case.speedup:.2f}", f"{found:.2f}", error, f"{law:.2f}"])
+    for case in jobs.PREDICTED:
+        found, law = speedup(case), devices.amdahl(case.gpus, serial)
+        rows.append([f"{case.words} (predicted)", "", f"{found:.2f}", "", f"{law:.2f}"])
     for alone, measured in jobs.LOCAL:
         found = jobs.LOCAL_START + outcome(costs, *jobs.local_job(alone)).seconds
         what = f"two workers on two cores, {alone:.0f} s alone"
@@ -147,7 +157,7 @@ def changes(costs: Costs) -> dict[str, tuple[Costs, Site]]:
 
 def _helped(costs: Costs) -> str:
     rows = []
-    serial = devices.serial_share(*jobs.MEASURED[jobs.FITTED][2:])
+    serial = not_shared()
     for name, (own, site) in changes(costs).items():
         loss = serial if site.gpus_worker > 1 and "without loss" not in name else 0.0
         cells = [

@@ -9,8 +9,9 @@ from typing import Generic, TypeVar
 
 Work = TypeVar("Work")
 
-
-NEAR_LONGEST = 0.9
+# A tile that is near is taken if it takes such a share of the time that the longest of all takes. With 0.9 eight
+# devices would move one of eight parts, and end 0.1 % sooner
+NEAR_LONGEST = 0.5
 
 
 class Deal(Generic[Work]):

@@ -26,5 +26,5 @@ def test_what_takes_longest_is_taken_first_wherever_it_is():
     deal = Deal([("new", None, inf), ("shortest", "here", 0.5)])
     deal.put_back("short", "here", 1.0)
     deal.put_back("long", "there", 10.0)
-    deal.put_back("as long", "here", 9.5)
-    assert [deal.take("here") for _ in range(5)] == ["new", "as long", "long", "short", "shortest"]
+    deal.put_back("half as long", "here", 5.5)
+    assert [deal.take("here") for _ in range(5)] == ["new", "half as long", "long", "short", "shortest"]
