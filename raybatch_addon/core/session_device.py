@@ -20,6 +20,7 @@ from .bvh.pages.peers.access import let_read, why_apart
 from .bvh.pages.peers.shared import PeerPages, SharedPages
 from .device.compiler import CompileStoppedError
 from .device.devices import free_memory
+from .device.failures import named_failures
 from .displacement.displaced import is_displaced
 from .film.tile import add_integers_kernel
 from .job import Job, progress_of
@@ -196,7 +197,7 @@ def make_workers_of(places: Sequence[Place], state: ResumeState) -> None:
     """Workers of all places for the tiles of `state`, side by side; where rays wait, one place after the other, since
     what is captured is given up on the thread that made it.
     """
-    if len(places) == 1 or places[0].scene.tracing.waits:
+    if len(places) == 1 or any(place.scene.tracing.waits for place in places):
         for place in places:
             place.make_workers(state)
         return
@@ -221,7 +222,11 @@ class Place:
         return self.workers.integrators if self.workers else []
 
     def make_workers(self, state: ResumeState) -> None:
-        """Make them for the tiles of `state`."""
+        """Make them for the tiles of `state`; failures name the device."""
+        with named_failures(self.at.device):
+            self._make_workers(state)
+
+    def _make_workers(self, state: ResumeState) -> None:
         job, self.workers = self.job, WorkersFor(self.at.kept, self.scene, self.job.scene.frame, self.job.settings)
         last = state.end == state.policy.sample_count
         areas = [halves[0].tile.pixel_count for halves in (state.open_tiles if last else state.tiles)]

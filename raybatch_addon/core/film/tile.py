@@ -14,7 +14,7 @@ import numpy as np
 import warp as wp
 
 from ..device.kernel import KERNEL_OPTIONS
-from ..native.structs import moved_to, struct_on, to_numpy
+from ..native.structs import copied_by_host, struct_on, to_numpy
 from ..scene.passes import matte_kinds
 from .channels import ChannelLayout
 from .host_samples import HostSamples
@@ -45,7 +45,7 @@ class FilmTile:
     object_index: wp.array(dtype=float)  # of the pixel's first sample
     material_index: wp.array(dtype=float)  # of the pixel's first sample
     mattes: MatteTile
-    invalid: wp.array(dtype=int)  # samples of its worker that were not finite and count as black, shape [1]
+    invalid: wp.array(dtype=int)  # samples that were not finite and count as black, shape [1]; the worker's
     # Channels that did not fit the window while there were no wide digits
     spill_index: wp.array(dtype=int)
     spill_value: wp.array(dtype=float)
@@ -54,14 +54,14 @@ class FilmTile:
 
 # Arrays of what the first sample of a pixel decides, by pass
 FIRST_SAMPLE_ARRAYS = {name: name.lower().replace(" ", "_") for name in FIRST_SAMPLE_PASSES}
+# Tiles whose invalid samples are counted apart, in 32 bits each, before the host adds them up
+COUNTED_TOGETHER = 256
 # Entries for channels that are set aside. When they run out the paths that found none wait until there are wide digits
 SPILL_CAPACITY = 1 << 16
 
 
 class FilmTiles:
-    """Makes the tiles of one worker; all of them share the arrays of what is set aside at the window's ends, and the
-    count of samples that were not finite.
-    """
+    """Makes the tiles of one worker; all of them share the arrays of what is set aside at the window's ends."""
 
     def __init__(
         self,
@@ -79,15 +79,17 @@ class FilmTiles:
         capacity = max(1, spill_capacity // layout.count) * layout.count
         self._spill_index = wp.zeros(capacity, dtype=int, device=device)
         self._spill_value = wp.zeros(capacity, dtype=float, device=device)
-        self._invalid = wp.zeros(1, dtype=int, device=device)
+        self._invalid = wp.zeros(COUNTED_TOGETHER, dtype=int, device=device)  # of tiles since these were 0
+        self.begin_render()
 
     @property
     def invalid_samples(self) -> int:
         """Samples of all tiles that were not finite and count as black; waits for the device."""
-        return int(to_numpy(self._invalid)[0])
+        return self._invalid_before + int(to_numpy(self._invalid).sum(dtype=np.int64))
 
     def begin_render(self) -> None:
         """Invalid samples are counted from here on."""
+        self._begun = self._invalid_before = 0
         self._invalid.zero_()
 
     def begin(self, pixel_count: int, earlier: FilmTile | None = None) -> FilmTile:
@@ -103,7 +105,12 @@ class FilmTiles:
             tile.mattes = matte_tile(pixel_count, len(matte_kinds(self._passes)), self._device)
         tile.spill_index, tile.spill_value = self._spill_index, self._spill_value
         self._spill_count.zero_()
-        tile.spill_count, tile.invalid = self._spill_count, self._invalid
+        tile.spill_count = self._spill_count
+        if self._begun == COUNTED_TOGETHER:
+            self._invalid_before, self._begun = self.invalid_samples, 0
+            self._invalid.zero_()
+        tile.invalid = self._invalid[self._begun : self._begun + 1]
+        self._begun += 1
         if self._mattes_aside is not None:
             tile.mattes.aside, tile.mattes.aside_count = self._mattes_aside, self._mattes_aside_count
             self._mattes_aside_count.zero_()
@@ -241,6 +248,7 @@ class FinishedTile:
             wp.empty(0, dtype=dtype, device=film.window.device) for dtype in (int, float, int, int)
         )
         film.mattes.aside = wp.empty(0, dtype=MatteEntry, device=film.window.device)
+        film.mattes.aside_count = wp.empty(0, dtype=int, device=film.window.device)
         self.mattes = mattes or Mattes()
         self.rectangle = rectangle
         self.film: FilmTile | None = film  # None: it is the sum of `halves`
@@ -252,25 +260,28 @@ class FinishedTile:
         self._cost_names = tuple(name for name in pass_names if name in COST_PASSES)
         self._first_names = tuple(name for name in pass_names if name in FIRST_SAMPLE_PASSES)
         self._passes: dict[str, np.ndarray] | None = None
+        self._has_gone_on = False
 
     @property
     def passes(self) -> dict[str, np.ndarray]:
-        """The picture, made when it is first asked for; to be asked for before the tile goes on."""
+        """The picture, made when it is first asked for. Raises `RuntimeError` where the tile has gone on since."""
+        if self._passes is None and self._has_gone_on:
+            raise RuntimeError(f"the tile {self.rectangle} got more samples before its picture was made")
         if self._passes is None:
             self._passes = self._picture(self._pass_names)
         return self._passes
 
-    def make_pictures(self) -> None:
-        """Make the picture now, and those of its halves."""
-        for each in (self, *(self.halves or ())):
-            _ = each.passes
+    def go_on(self) -> FilmTile:
+        """What more samples are added to from now on, of a tile that is no sum of halves."""
+        self._has_gone_on = True
+        return self.film
 
     @staticmethod
     def of_halves(halves: Sequence[FinishedTile]) -> FinishedTile:
-        """The tile of all samples, with its pictures, where they are in one half or in two."""
-        tile = halves[0] if len(halves) == 1 else FinishedTile.sum_of(*halves)
-        tile.make_pictures()
-        return tile
+        """The tile of all samples, with its picture and those of its halves, where they are in one half or in two."""
+        for each in halves:
+            _ = each.passes
+        return halves[0] if len(halves) == 1 else FinishedTile.sum_of(*halves)
 
     @staticmethod
     def sum_of(first: FinishedTile, second: FinishedTile) -> FinishedTile:
@@ -290,7 +301,7 @@ class FinishedTile:
         count = first.sample_count + second.sample_count
         mattes = first._all_mattes().plus(second._all_mattes())
         tile = FinishedTile(first.rectangle, film, first._layout, first._pass_names, count, cost, mattes)
-        tile.make_pictures()
+        _ = tile.passes
         tile.halves = (first, second)
         tile.film = tile.cost = None
         return tile
@@ -327,7 +338,7 @@ class FinishedTile:
         """A copy on `device` to which more can be added, apart from this tile. Not of a sum of halves."""
         made = copy.copy(self)
         made.film = struct_on(self.film, device)
-        made.cost = None if self.cost is None else moved_to(self.cost, device)
+        made.cost = None if self.cost is None else copied_by_host(self.cost, device)
         return made
 
     def fetch(self) -> HostSamples:

@@ -104,8 +104,8 @@ def copied_to(array: wp.array, device: wp.Device) -> wp.array:
     return wp.clone(array, device=device)
 
 
-def moved_to(array: wp.array, device: wp.Device) -> wp.array:
-    """The same, for a small array whose device has a lot to do: between two devices the copy goes by way of the host.
+def copied_by_host(array: wp.array, device: wp.Device) -> wp.array:
+    """The same by way of the host between two devices, for arrays of some megabytes where both have a lot to do.
 
     In `copied_to` each device's stream waits for the other's. Here the calling thread alone waits for both.
     """
@@ -117,12 +117,12 @@ def moved_to(array: wp.array, device: wp.Device) -> wp.array:
 
 
 def struct_on(value: Any, device: wp.Device) -> Any:
-    """One instance of a Warp struct with all arrays in it, and in structs of it, copied to `device` (`moved_to`)."""
+    """One instance of a Warp struct with copies on `device` of all arrays in it, and in structs of it."""
     made = value._cls()
     for name in value._cls.vars:
         each = getattr(value, name)
         if isinstance(each, wp.array):
-            each = moved_to(each, device)
+            each = copied_by_host(each, device)
         elif hasattr(each, "_cls"):
             each = struct_on(each, device)
         setattr(made, name, each)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import warp as wp
@@ -117,7 +117,7 @@ class TileIntegrator:
             self.textures.begin()
         self.items_done = 0  # paths that came to their end, for progress
         self.seconds_working = 0.0  # on tiles, in this render
-        self.tail_seconds = 0.0  # of the last `render`: from its last full waves to the picture
+        self.tail_seconds = 0.0  # of the last `render`: behind its last full waves
         self.patience = math.inf  # of a stopped tile whose rays are under way [s]; 0: they are given up in mid-turn
 
     def render(
@@ -162,12 +162,14 @@ class TileIntegrator:
             for name in FIRST_SAMPLE_ARRAYS.values():
                 getattr(film, name).zero_()
         count = done + (state.held.sample_count if state.held else 0)
-        with self._timer.stage("transfer"):
-            state.held = FinishedTile(tile.box, film, self._layout, self._frame.passes, count, self._cost, self._mattes)
-            if self._counters:
-                state.held.make_pictures()  # which is timed; else nobody waits for it in this turn
+        state.held = FinishedTile(tile.box, film, self._layout, self._frame.passes, count, self._cost, self._mattes)
         self.tail_seconds = time.perf_counter() - tail_from if tail_from else 0.0
         return state.held
+
+    def shown(self, halves: Sequence[FinishedTile]) -> FinishedTile:
+        """A tile that this worker rendered, with its pictures; called in nobody's turn."""
+        with self._timer.stage("transfer"):
+            return FinishedTile.of_halves(halves)
 
     def use_kernels(self, kernels: StageKernels) -> None:
         """Go on with `kernels` of another tier, loaded already, from the next turn on. May be called on any thread."""
@@ -199,7 +201,7 @@ class TileIntegrator:
         self._mattes = held.mattes if held else Mattes()
         if self._counters:
             self._cost = held.cost if held and held.cost is not None else self._counters.begin_tile(tile.pixel_count)
-        return work, self._film_tiles.begin(tile.pixel_count, held.film if held else None)
+        return work, self._film_tiles.begin(tile.pixel_count, held.go_on() if held else None)
 
     def _generate(self, state: TileState, work: TileWork, items: int) -> RayList:
         kernel, more, left = self._kernels.generate_active, (state.active,), items - state.items_begun

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import warp as wp
 
 from ..film.tile import FinishedTile
-from ..native.structs import moved_to
+from ..native.structs import copied_by_host
 from .scheduler import Rectangle
 
 
@@ -32,7 +32,7 @@ class TileState:
         if self.held is not None:
             self.held = self.held.on(device)
         if self.active is not None and self.active.device != device:
-            self.active = moved_to(self.active, device)
+            self.active = copied_by_host(self.active, device)
 
     @property
     def pixel_count(self) -> int:

@@ -9,7 +9,7 @@ from raybatch_addon.core.bvh.build.scene_tree import layout_for
 from raybatch_addon.core.bvh.memory import GeometrySize
 from raybatch_addon.core.checkpoint.checkpoint import Checkpoint
 from raybatch_addon.core.errors import DeviceError
-from raybatch_addon.core.native.structs import moved_to
+from raybatch_addon.core.native.structs import copied_by_host
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.session_device import SessionDevice
 from raybatch_addon.core.wavefront.integrator import TileIntegrator
@@ -66,7 +66,7 @@ def several(monkeypatch):
         if self.held is not None:
             self.held = self.held.copied(device)
         if self.active is not None:
-            self.active = moved_to(self.active, device)
+            self.active = copied_by_host(self.active, device)
 
     monkeypatch.setattr(TileState, "move_to", move_to)
     monkeypatch.setattr(session_module, "SHARED_PATHS_LEAST", 0)

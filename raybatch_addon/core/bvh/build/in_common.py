@@ -18,48 +18,57 @@ from ...device.failures import lacks_memory
 from ...native.structs import copied_to
 from .mesh_tree import MeshTree
 
+_Waiting = list[tuple[wp.Device, Future[list[MeshTree] | None]]]
+
 
 class TreesInCommon:
     """The mesh trees of one scene for `devices` of a render, each of which asks on a thread of its own."""
 
     def __init__(self, devices: Sequence[wp.Device]):
         self._devices, self._lock = devices, threading.Lock()
-        self._made: dict[Hashable, Future[dict[str, list[MeshTree]]]] = {}  # copies by device, by what was asked for
+        self._waiting: dict[Hashable, _Waiting] = {}  # for trees that are being built, by what was asked for
 
     def get(self, device: wp.Device, kind: Hashable, build: Callable[[], list[MeshTree]]) -> list[MeshTree]:
-        """Trees on `device`: what `build` makes, or what it made on another one of the same model that asked for this
-        `kind`. They are the caller's. Raises what `build` raises; where another device's fails, it is tried here.
+        """Trees on `device`: what `build` makes, or a copy of what another device of the same model makes, where that
+        is building trees of this `kind` when they are asked for. They are the caller's.
+
+        Raises what `build` raises. Where the other device's fails, or there is no room for a copy, `build` is tried.
         """
+        if device.is_cpu:  # there are no two of them
+            return build()
         key = kind, next(i for i, each in enumerate(self._devices) if is_alike(each, device))
+        copied: Future[list[MeshTree] | None] = Future()
         with self._lock:
-            made = self._made.get(key)
-            if is_first := made is None:
-                made = self._made[key] = Future()
+            is_first = key not in self._waiting
+            waiting = self._waiting.setdefault(key, [])
+            if not is_first:
+                waiting.append((device, copied))
         if not is_first:
-            return made.result().pop(device.alias, None) or build()
-        copies: dict[str, list[MeshTree]] = {}
+            return copied.result() or build()
+        trees: list[MeshTree] = []
         try:
             trees = build()
-            for other in self._devices:
-                if other != device and is_alike(other, device):
-                    _copy(trees, other, copies)
         finally:
-            made.set_result(copies)
+            with self._lock:
+                del self._waiting[key]  # who asks from now on builds: nothing is kept for it
+            for other, its in waiting:
+                _copy(trees, other, its)
         return trees
 
 
-def _copy(trees: Sequence[MeshTree], device: wp.Device, copies: dict[str, list[MeshTree]]) -> None:
-    """Add copies on `device` to `copies`, if it has room for them. Trees in the host's memory are not copied: they are
-    uploaded from there.
-    """
+def _copy(trees: Sequence[MeshTree], device: wp.Device, copied: Future[list[MeshTree] | None]) -> None:
+    """Give `copied` trees like `trees` on `device`; None where there are none, or there is no room."""
 
     def there(array: wp.array) -> wp.array:
-        return copied_to(array, device) if array.device.is_cuda else array
+        # what was built in the host's memory is uploaded from there
+        return copied_to(array, device if array.device.is_cuda else array.device)
 
     try:
-        copies[device.alias] = [
-            replace(each, nodes=there(each.nodes), triangles=there(each.triangles), over_time=[]) for each in trees
-        ]
+        copied.set_result(
+            [replace(each, nodes=there(each.nodes), triangles=there(each.triangles), over_time=[]) for each in trees]
+        )
     except (MemoryError, RuntimeError) as error:
-        if not lacks_memory(error):
-            raise
+        if lacks_memory(error):
+            copied.set_result(None)
+        else:
+            copied.set_exception(error)

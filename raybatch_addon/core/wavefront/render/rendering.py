@@ -33,6 +33,8 @@ POLL_SECONDS = 0.01
 PROGRESS_SECONDS = 0.05
 # A render that one worker ends so soon begins no thread [s]
 SHORT_SECONDS = 0.05
+# A tile that is rendered in parts is shown before its last one where it was not for so long [s]
+PART_SEEN_SECONDS = 5.0
 # A cancelled render waits this long for the rays that are under way [s]; those that are left are given up then
 DRAIN_SECONDS = 0.25
 # A cancelled render that is kept waits this long for the rays that are under way, without which it cannot go on [s]
@@ -67,8 +69,9 @@ class Rendering:
         self._steps, self._parts = steps, parts
         # the parts under way: tiles, and how many samples of the round each half has at the end
         self._taken: dict[TileIntegrator, tuple[Sequence[TileState], int]] = {}
-        # halves of tiles with more parts to come, whose pictures nobody has made
-        self._unseen: dict[Hashable, list[FinishedTile]] = {}
+        # halves of tiles with more parts to come, whose pictures nobody has made, and by whom they are
+        self._unseen: dict[Hashable, tuple[TileIntegrator, list[FinishedTile]]] = {}
+        self._seen: dict[Hashable, float] = {}  # when a tile was shown last (`time.perf_counter`)
         self._total, self._pixels = state.items_to_come, state.pixel_count
         self._earlier = film.sample_total  # paths that are in the film already
         self._earlier_invalid = state.invalid_samples
@@ -217,7 +220,9 @@ class Rendering:
             for thread in threads:
                 thread.join()
         while self._unseen:
-            self._hand_out(FinishedTile.of_halves(self._unseen.popitem()[1]))
+            integrator, halves = self._unseen.popitem()[1]
+            with named_failures(integrator.device):
+                self._hand_out(integrator.shown(halves))
         return is_kept and not is_cancelled
 
     def _is_short(self) -> bool:
@@ -256,7 +261,7 @@ class Rendering:
     def _render_tile(
         self, integrator: TileIntegrator, halves: Sequence[TileState], stop: Callable[[], bool]
     ) -> FinishedTile | None:
-        """A step of a tile, or all that is left of its round; None for a part behind which it goes on."""
+        """A step of a tile, or all that is left of its round; None for a part behind which it goes on unseen."""
         box = halves[0].tile.box
         self._unseen.pop(box, None)
         start, tail_seconds, finished = time.perf_counter(), 0.0, []
@@ -270,10 +275,10 @@ class Rendering:
             tail_seconds += integrator.tail_seconds
         joined, now, stopped = time.perf_counter(), [state.items_begun for state in halves], stop()
         goes_on = self._parts is not None and not stopped and self._state.items_left_of(halves) > 0
-        if goes_on:
-            tile, self._unseen[box] = None, finished
+        if goes_on and joined - self._seen.setdefault(box, self._begun) < PART_SEEN_SECONDS:
+            tile, self._unseen[box] = None, (integrator, finished)
         else:
-            tile = FinishedTile.of_halves(finished)
+            tile, self._seen[box] = integrator.shown(finished), joined
         end = time.perf_counter()
         integrator.seconds_working += end - start
         if done := integrator.items_done - before:

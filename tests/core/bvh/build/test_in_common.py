@@ -1,6 +1,7 @@
 """Trees of several devices: one builds them, and the others get copies."""
 
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
@@ -49,14 +50,22 @@ def copies(monkeypatch):
     return made
 
 
-def asked_by_all(common, devices, kind, build):
-    """What each device gets; all ask at the same time."""
-    ready = threading.Barrier(len(devices))
+def asked_by_all(common, devices, build):
+    """What each device gets; all ask while the first of them builds."""
 
     def ask(device):
-        ready.wait(10)
-        return common.get(device, kind, lambda: build(device))
+        if device is not devices[0]:
+            begun.wait(10)
+        return common.get(device, "trees", lambda: built(device))
 
+    def built(device):
+        if not begun.is_set():
+            begun.set()
+            while sum(map(len, common._waiting.values())) < waiting:
+                time.sleep(0.001)
+        return build(device)
+
+    begun, waiting = threading.Event(), sum(each.name == devices[0].name for each in devices) - 1
     with ThreadPoolExecutor(len(devices)) as pool:
         return [each.result(10) for each in [pool.submit(ask, device) for device in devices]]
 
@@ -68,19 +77,18 @@ def test_one_builds_and_all_have_their_own(copies):
         builders.append(device.alias)
         return [tree_on(device, 1), tree_on(device, 2)]
 
-    found = asked_by_all(TreesInCommon(devices), devices, "trees", build)
-    assert len(builders) == 1
+    found = asked_by_all(TreesInCommon(devices), devices, build)
+    assert builders == ["cuda:0"]
     for device, trees in zip(devices, found, strict=True):
         assert [each.part.triangle_count for each in trees] == [1, 2]
         assert {each.nodes.device.alias for each in trees} == {device.alias}
         assert {each.triangles.device.alias for each in trees} == {device.alias}
     lists = [each.over_time for trees in found for each in trees]
     assert len({id(each) for each in lists}) == 6  # which devices fill
-    others = {each.alias for each in devices} - set(builders)
-    assert sorted(copies) == sorted([(builders[0], other) for other in others] * 4)
+    assert sorted(copies) == [("cuda:0", "cuda:1")] * 4 + [("cuda:0", "cuda:2")] * 4
 
 
-def test_other_models_and_other_trees_are_built_apart():
+def test_who_asks_late_or_is_of_another_model_builds(copies):
     devices, builders = [gpu("cuda:0"), gpu("cuda:1", "other"), gpu("cuda:2")], []
 
     def build(device):
@@ -88,16 +96,18 @@ def test_other_models_and_other_trees_are_built_apart():
         return [tree_on(device, 1)]
 
     common = TreesInCommon(devices)
-    asked_by_all(common, devices, "trees", build)
+    asked_by_all(common, devices, build)
     assert sorted(builders) == ["one", "other"]
-    common.get(devices[0], "finer trees", lambda: build(devices[0]))
+    common.get(devices[2], "trees", lambda: build(devices[2]))
     assert sorted(builders) == ["one", "one", "other"]
+    assert len(copies) == 2 and not common._waiting  # nothing is kept for who does not ask
 
 
-def test_trees_of_the_host_are_nobodys_copies(copies):
-    devices, host = [gpu("cuda:0"), gpu("cuda:1")], SimpleNamespace(alias="cpu", is_cuda=False)
-    found = asked_by_all(TreesInCommon(devices), devices, "trees", lambda device: [tree_on(host, 1)])
-    assert [each[0].nodes.device.alias for each in found] == ["cpu", "cpu"] and not copies
+def test_trees_of_the_host_are_copied_there(copies):
+    devices, host = [gpu("cuda:0"), gpu("cuda:1")], SimpleNamespace(alias="cpu", is_cuda=False, is_full=False)
+    found = asked_by_all(TreesInCommon(devices), devices, lambda device: [tree_on(host, 1)])
+    assert [each[0].nodes.device.alias for each in found] == ["cpu", "cpu"]
+    assert copies == [("cpu", "cpu")] * 2 and found[0][0].nodes is not found[1][0].nodes
 
 
 def test_a_device_without_room_builds_its_own():
@@ -107,20 +117,20 @@ def test_a_device_without_room_builds_its_own():
         builders.append(device.alias)
         return [tree_on(device, 1)]
 
-    common = TreesInCommon(devices)
-    found = [common.get(device, "trees", lambda device=device: build(device)) for device in devices]
+    found = asked_by_all(TreesInCommon(devices), devices, build)
     assert builders == ["cuda:0", "cuda:1"]
     assert [each[0].nodes.device for each in found] == devices
 
 
 def test_where_one_fails_the_others_try():
-    devices = [gpu("cuda:0"), gpu("cuda:1")]
-    common = TreesInCommon(devices)
+    devices, tried = [gpu("cuda:0"), gpu("cuda:1")], []
 
-    def fails():
-        raise MemoryError("no room")
+    def build(device):
+        tried.append(device.alias)
+        if device is devices[0]:
+            raise MemoryError("no room")
+        return [tree_on(device, 1)]
 
     with pytest.raises(MemoryError, match="no room"):
-        common.get(devices[0], "trees", fails)
-    found = common.get(devices[1], "trees", lambda: [tree_on(devices[1], 1)])
-    assert found[0].nodes.device is devices[1]
+        asked_by_all(TreesInCommon(devices), devices, build)
+    assert tried == ["cuda:0", "cuda:1"]
