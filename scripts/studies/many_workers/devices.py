@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import heapq
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -14,8 +13,6 @@ from raybatch_addon.core.wavefront.render.steps import LEFT_SHARE, TileParts
 from raybatch_addon.core.wavefront.scheduler import CUDA_WORKERS
 
 PIXELS = 3840 * 2160
-# Of the seconds of tiles, standard deviation of their logarithm: 0.18 to 0.25 in the demo, 0.34 in the BMW
-TILE_SPREAD = 0.25
 
 
 @dataclass(frozen=True)
@@ -25,6 +22,7 @@ class Shared:
     name: str
     samples: int
     seconds: float  # of one GPU
+    spread: float  # of the seconds of tiles (standard deviation of their logarithm)
     tiles: int
     gpus: int
     speedup: float = 0.0  # measured; 0: it was not
@@ -93,29 +91,10 @@ def process_seconds(case: Shared, serial: float) -> float:
     """
     found = []
     for seed in range(8):
-        tiles = np.exp(np.random.default_rng(seed).normal(0.0, TILE_SPREAD, case.tiles))
+        tiles = np.exp(np.random.default_rng(seed).normal(0.0, case.spread, case.tiles))
         tiles *= (1.0 - serial) * case.seconds / tiles.sum()
         found.append(dealt_seconds(tiles.tolist(), case.samples, case.gpus))
     return serial * case.seconds + float(np.mean(found))
-
-
-def listed(seconds: Sequence[float], rates: Sequence[float]) -> float:
-    """When the last of some tasks ends that take so long at rate 1, if each goes to who is free first (Graham 1969)."""
-    free = [(0.0, i) for i in range(len(rates))]
-    last = 0.0
-    for each in seconds:
-        at, i = heapq.heappop(free)
-        at += each / rates[i]
-        last = max(last, at)
-        heapq.heappush(free, (at, i))
-    return last
-
-
-def graham_bound(seconds: Sequence[float], count: int) -> float:
-    """What `listed` never exceeds with `count` equal workers, whatever the order: the work shared evenly, and what the
-    longest task adds (Graham, Bounds on multiprocessing timing anomalies, 1969).
-    """
-    return sum(seconds) / count + (1.0 - 1.0 / count) * max(seconds)
 
 
 def amdahl(count: float, serial: float) -> float:

@@ -1,9 +1,13 @@
 """Devices of one model that share a render: the film of one of them, bit for bit."""
 
+import threading
+import time
+
 import pytest
 import warp as wp
 
 from raybatch_addon.core import session as session_module
+from raybatch_addon.core.bvh.build.in_common import TreesInCommon
 from raybatch_addon.core.bvh.build.mesh_tree import MeshTrees
 from raybatch_addon.core.bvh.build.scene_tree import layout_for
 from raybatch_addon.core.bvh.memory import GeometrySize
@@ -129,13 +133,27 @@ def test_the_statistics_list_the_devices(several):
     assert found["device"].items() < found["devices"][0].items()
 
 
-def test_trees_are_built_by_one_of_them(several, monkeypatch):
+def test_trees_are_built_by_one_of_them(session, several, monkeypatch):
+    """Where the others ask while it builds: it waits for them here."""
     if several.device.is_cpu:
         pytest.skip("the CPU stands for several")
-    build, built = MeshTrees.build, []
+    expected = session.render(fine(), settings_of("progressive"))
+    build, get, built, asked = MeshTrees.build, TreesInCommon.get, [], threading.Barrier(len(several.devices))
+
+    def get_together(self, device, kind, own):
+        def own_with_others():
+            while sum(map(len, self._waiting.values())) < len(several.devices) - 1:
+                time.sleep(0.001)
+            return own()
+
+        asked.wait(60)
+        return get(self, device, kind, own_with_others)
+
+    monkeypatch.setattr(TreesInCommon, "get", get_together)
     monkeypatch.setattr(MeshTrees, "build", lambda self, part: built.append(part) or build(self, part))
     film = several.render(fine(), settings_of("progressive"))
     assert len(built) == film.statistics["tree"]["trees"] > 0
+    assert_same_film(film, expected)
 
 
 def test_few_paths_are_not_shared(session, several, monkeypatch):

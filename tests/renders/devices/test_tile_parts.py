@@ -69,16 +69,36 @@ def test_the_film_is_that_of_whole_tiles(session, begun, request, way):
     assert Counter(map(box_of, shown)) == Counter(map(box_of, rounds))  # once a round, however many parts it had
 
 
+def test_parts_that_take_long_are_seen(session, request, monkeypatch):
+    """Each picture of a tile that is shown is the one of a render of that many samples, and of more than the last."""
+    monkeypatch.setattr(rendering, "PART_SEEN_SECONDS", 0.0)
+    shown, pictures = {}, []
+    for samples in range(1, WHOLE.sample_count + 1):
+        pictures.append(session.render(scenes.mixed(FRAME), WHOLE.replace(sample_count=samples)))
+    request.getfixturevalue("parts")
+    session.render(
+        scenes.mixed(FRAME), WHOLE, on_tile=lambda tile: shown.setdefault(box_of(tile), []).append(tile.passes)
+    )
+    for (x, y, width, height), its in shown.items():
+        known = [each.part(x, y, width, height)["Combined"] for each in pictures]
+        counts = [next(n for n, each in enumerate(known, 1) if np.array_equal(each, a["Combined"])) for a in its]
+        assert counts == sorted(set(counts)) and counts[-1] == WHOLE.sample_count
+        assert counts[0] <= max(1, WHOLE.sample_count // 4)
+
+
 @pytest.mark.parametrize("way", ["plain", "halves"])
 def test_parts_are_seen_where_a_render_is_stopped(session, begun, parts, way):
     """When all tiles have their first parts it is cancelled: each is shown as a render of so many samples shows it."""
     settings, shown = WHOLE.replace(**WAYS[way]), {}
+    expected = session.render(scenes.mixed(FRAME), settings)
+    workers = expected.statistics["schedule"]["workers"]
+    begun.boxes.clear()
     begun.most = 1 + (way == "halves")
     film = session.render(
         scenes.mixed(FRAME),
         settings,
         on_tile=lambda tile: shown.setdefault(box_of(tile), tile.passes),
-        cancelled=lambda: len(begun.boxes) == TILES * begun.most + settings.thread_count,  # all workers wait
+        cancelled=lambda: len(begun.boxes) == TILES * begun.most + workers,  # all of them wait
     )
     begun.most = math.inf
     assert not film.complete and len(shown) == TILES
@@ -88,7 +108,6 @@ def test_parts_are_seen_where_a_render_is_stopped(session, begun, parts, way):
     for box, passes in shown.items():
         assert_same(passes, known.part(*box))
     assert_same(film.passes, known.passes)
-    expected = session.render(scenes.mixed(FRAME), settings)
     assert_same_film(session.render(scenes.mixed(FRAME), settings, resume=film), expected)
 
 
