@@ -106,7 +106,7 @@ class FilmTiles:
         tile.spill_index, tile.spill_value = self._spill_index, self._spill_value
         self._spill_count.zero_()
         tile.spill_count = self._spill_count
-        if self._begun == COUNTED_TOGETHER:
+        if self._begun == self._invalid.size:
             self._invalid_before, self._begun = self.invalid_samples, 0
             self._invalid.zero_()
         tile.invalid = self._invalid[self._begun : self._begun + 1]

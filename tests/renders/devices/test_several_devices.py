@@ -142,7 +142,8 @@ def test_trees_are_built_by_one_of_them(session, several, monkeypatch):
 
     def get_together(self, device, kind, own):
         def own_with_others():
-            while sum(map(len, self._waiting.values())) < len(several.devices) - 1:
+            deadline = time.monotonic() + 60
+            while sum(map(len, self._waiting.values())) < len(several.devices) - 1 and time.monotonic() < deadline:
                 time.sleep(0.001)
             return own()
 

@@ -14,7 +14,6 @@ from dataclasses import replace
 import warp as wp
 
 from ...device.devices import is_alike
-from ...device.failures import lacks_memory
 from ...native.structs import copied_to
 from .mesh_tree import MeshTree
 
@@ -32,7 +31,7 @@ class TreesInCommon:
         """Trees on `device`: what `build` makes, or a copy of what another device of the same model makes, where that
         is building trees of this `kind` when they are asked for. They are the caller's.
 
-        Raises what `build` raises. Where the other device's fails, or there is no room for a copy, `build` is tried.
+        Raises what `build` raises. Where the other device's fails, or the copy does, `build` is tried.
         """
         if device.is_cpu:  # there are no two of them
             return build()
@@ -57,18 +56,17 @@ class TreesInCommon:
 
 
 def _copy(trees: Sequence[MeshTree], device: wp.Device, copied: Future[list[MeshTree] | None]) -> None:
-    """Give `copied` trees like `trees` on `device`; None where there are none, or there is no room."""
+    """Give `copied` trees like `trees` on `device`. Those in the host's memory are shared: nobody writes to them, and
+    each device uploads them.
+    """
 
     def there(array: wp.array) -> wp.array:
-        # what was built in the host's memory is uploaded from there
-        return copied_to(array, device if array.device.is_cuda else array.device)
+        return copied_to(array, device) if array.device.is_cuda else array
 
+    made = None
     try:
-        copied.set_result(
-            [replace(each, nodes=there(each.nodes), triangles=there(each.triangles), over_time=[]) for each in trees]
-        )
-    except (MemoryError, RuntimeError) as error:
-        if lacks_memory(error):
-            copied.set_result(None)
-        else:
-            copied.set_exception(error)
+        made = [replace(each, nodes=there(each.nodes), triangles=there(each.triangles), over_time=[]) for each in trees]
+    except Exception:
+        pass  # the device builds its own, and says itself what it fails at
+    finally:
+        copied.set_result(made)

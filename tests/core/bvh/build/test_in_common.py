@@ -13,8 +13,8 @@ from raybatch_addon.core.bvh.build.in_common import TreesInCommon
 from raybatch_addon.core.bvh.build.mesh_tree import MeshPart, MeshTree
 
 
-def gpu(alias: str, name: str = "one", is_full: bool = False) -> SimpleNamespace:
-    return SimpleNamespace(alias=alias, name=name, arch=90, is_cuda=True, is_cpu=False, is_full=is_full)
+def gpu(alias: str, name: str = "one", fails_with: Exception | None = None) -> SimpleNamespace:
+    return SimpleNamespace(alias=alias, name=name, arch=90, is_cuda=True, is_cpu=False, fails_with=fails_with)
 
 
 def tree_on(device, triangles: int) -> MeshTree:
@@ -42,8 +42,8 @@ def copies(monkeypatch):
 
     def copied(array, device):
         made.append((array.device.alias, device.alias))
-        if device.is_full:
-            raise RuntimeError("Failed to allocate 8 bytes on device 'cuda:2'")
+        if device.fails_with:
+            raise device.fails_with
         return SimpleNamespace(device=device)
 
     monkeypatch.setattr(in_common, "copied_to", copied)
@@ -61,7 +61,8 @@ def asked_by_all(common, devices, build):
     def built(device):
         if not begun.is_set():
             begun.set()
-            while sum(map(len, common._waiting.values())) < waiting:
+            deadline = time.monotonic() + 10
+            while sum(map(len, common._waiting.values())) < waiting and time.monotonic() < deadline:
                 time.sleep(0.001)
         return build(device)
 
@@ -103,15 +104,16 @@ def test_who_asks_late_or_is_of_another_model_builds(copies):
     assert len(copies) == 2 and not common._waiting  # nothing is kept for who does not ask
 
 
-def test_trees_of_the_host_are_copied_there(copies):
-    devices, host = [gpu("cuda:0"), gpu("cuda:1")], SimpleNamespace(alias="cpu", is_cuda=False, is_full=False)
+def test_trees_of_the_host_are_shared(copies):
+    devices, host = [gpu("cuda:0"), gpu("cuda:1")], SimpleNamespace(alias="cpu", is_cuda=False)
     found = asked_by_all(TreesInCommon(devices), devices, lambda device: [tree_on(host, 1)])
-    assert [each[0].nodes.device.alias for each in found] == ["cpu", "cpu"]
-    assert copies == [("cpu", "cpu")] * 2 and found[0][0].nodes is not found[1][0].nodes
+    assert found[0][0].nodes is found[1][0].nodes and not copies
+    assert found[0][0] is not found[1][0] and found[0][0].over_time is not found[1][0].over_time
 
 
-def test_a_device_without_room_builds_its_own():
-    devices, builders = [gpu("cuda:0"), gpu("cuda:1", is_full=True), gpu("cuda:2")], []
+@pytest.mark.parametrize("error", [RuntimeError("Failed to allocate 8 bytes"), ValueError("a copy that fails")])
+def test_a_device_that_gets_no_copy_builds_its_own(error):
+    devices, builders = [gpu("cuda:0"), gpu("cuda:1", fails_with=error), gpu("cuda:2")], []
 
     def build(device):
         builders.append(device.alias)
