@@ -195,15 +195,19 @@ def _pages_in_common(jobs: Sequence[Job], devices: Sequence[wp.Device], shared: 
 
 def make_workers_of(places: Sequence[Place], state: ResumeState) -> None:
     """Workers of all places for the tiles of `state`, side by side; where rays wait, one place after the other, since
-    what is captured is given up on the thread that made it.
+    what is captured is given up on the thread that made it. Failures name the device.
     """
+
+    def make(place: Place) -> None:
+        with named_failures(place.at.device):
+            place.make_workers(state)
+
     if len(places) == 1 or any(place.scene.tracing.waits for place in places):
         for place in places:
-            place.make_workers(state)
+            make(place)
         return
     with ThreadPoolExecutor(len(places), thread_name_prefix="RayBatch device") as pool:
-        for made in [pool.submit(place.make_workers, state) for place in places]:
-            made.result()
+        list(pool.map(make, places))
 
 
 @dataclass
@@ -222,11 +226,7 @@ class Place:
         return self.workers.integrators if self.workers else []
 
     def make_workers(self, state: ResumeState) -> None:
-        """Make them for the tiles of `state`; failures name the device."""
-        with named_failures(self.at.device):
-            self._make_workers(state)
-
-    def _make_workers(self, state: ResumeState) -> None:
+        """Make them for the tiles of `state`."""
         job, self.workers = self.job, WorkersFor(self.at.kept, self.scene, self.job.scene.frame, self.job.settings)
         last = state.end == state.policy.sample_count
         areas = [halves[0].tile.pixel_count for halves in (state.open_tiles if last else state.tiles)]

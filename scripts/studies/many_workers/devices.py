@@ -1,4 +1,4 @@
-"""Several GPUs of one process: tiles are dealt to their workers, whose threads share a host."""
+"""Several GPUs of one process: tiles are dealt to their workers, and parted, by the renderer's own rules."""
 
 from __future__ import annotations
 

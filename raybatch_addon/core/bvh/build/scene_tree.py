@@ -101,7 +101,6 @@ def build_scene_tree(
     def build() -> list[MeshTree]:
         return [trees.build(part) for part in parts]
 
-    kind = layout, spatial_splits, on_device, tuple(parts)
     built = BuiltTree(
         tree=Tree(),
         layout=layout,
@@ -110,7 +109,7 @@ def build_scene_tree(
         splits_planned=spatial_splits,
         range_count=range_count,
         mesh_ranges=mesh_ranges,
-        meshes=in_common.get(device, kind, build) if in_common else build(),
+        meshes=in_common.get(device, (layout, spatial_splits, on_device, *parts), build) if in_common else build(),
     )
     assemble(built, trees, flat, entries_of(flat, visibility), device, fresh=True)
     built.note(len(built.meshes), 0, start)

@@ -275,7 +275,7 @@ class Rendering:
             tail_seconds += integrator.tail_seconds
         joined, now, stopped = time.perf_counter(), [state.items_begun for state in halves], stop()
         goes_on = self._parts is not None and not stopped and self._state.items_left_of(halves) > 0
-        if goes_on and joined - self._seen.setdefault(box, self._begun) < PART_SEEN_SECONDS:
+        if goes_on and joined - self._seen.get(box, self._begun) < PART_SEEN_SECONDS:
             tile, self._unseen[box] = None, (integrator, finished)
         else:
             tile, self._seen[box] = integrator.shown(finished), joined
