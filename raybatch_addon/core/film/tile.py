@@ -45,7 +45,7 @@ class FilmTile:
     object_index: wp.array(dtype=float)  # of the pixel's first sample
     material_index: wp.array(dtype=float)  # of the pixel's first sample
     mattes: MatteTile
-    invalid: wp.array(dtype=int)  # samples that were not finite and count as black, shape [1]; the worker's
+    invalid: wp.array(dtype=wp.int64)  # samples that were not finite and count as black, shape [1]; the worker's
     # Channels that did not fit the window while there were no wide digits
     spill_index: wp.array(dtype=int)
     spill_value: wp.array(dtype=float)
@@ -54,8 +54,6 @@ class FilmTile:
 
 # Arrays of what the first sample of a pixel decides, by pass
 FIRST_SAMPLE_ARRAYS = {name: name.lower().replace(" ", "_") for name in FIRST_SAMPLE_PASSES}
-# Tiles whose invalid samples are counted apart, in 32 bits each, before the host adds them up
-COUNTED_TOGETHER = 256
 # Entries for channels that are set aside. When they run out the paths that found none wait until there are wide digits
 SPILL_CAPACITY = 1 << 16
 
@@ -79,17 +77,15 @@ class FilmTiles:
         capacity = max(1, spill_capacity // layout.count) * layout.count
         self._spill_index = wp.zeros(capacity, dtype=int, device=device)
         self._spill_value = wp.zeros(capacity, dtype=float, device=device)
-        self._invalid = wp.zeros(COUNTED_TOGETHER, dtype=int, device=device)  # of tiles since these were 0
-        self.begin_render()
+        self._invalid = wp.zeros(1, dtype=wp.int64, device=device)
 
     @property
     def invalid_samples(self) -> int:
         """Samples of all tiles that were not finite and count as black; waits for the device."""
-        return self._invalid_before + int(to_numpy(self._invalid).sum(dtype=np.int64))
+        return int(to_numpy(self._invalid)[0])
 
     def begin_render(self) -> None:
         """Invalid samples are counted from here on."""
-        self._begun = self._invalid_before = 0
         self._invalid.zero_()
 
     def begin(self, pixel_count: int, earlier: FilmTile | None = None) -> FilmTile:
@@ -106,11 +102,7 @@ class FilmTiles:
         tile.spill_index, tile.spill_value = self._spill_index, self._spill_value
         self._spill_count.zero_()
         tile.spill_count = self._spill_count
-        if self._begun == self._invalid.size:
-            self._invalid_before, self._begun = self.invalid_samples, 0
-            self._invalid.zero_()
-        tile.invalid = self._invalid[self._begun : self._begun + 1]
-        self._begun += 1
+        tile.invalid = self._invalid
         if self._mattes_aside is not None:
             tile.mattes.aside, tile.mattes.aside_count = self._mattes_aside, self._mattes_aside_count
             self._mattes_aside_count.zero_()
@@ -245,7 +237,7 @@ class FinishedTile:
         those that are not in the slots of `film`."""
         # the worker's own arrays, which the next tile needs and this one must not keep alive
         film.spill_index, film.spill_value, film.spill_count, film.invalid = (
-            wp.empty(0, dtype=dtype, device=film.window.device) for dtype in (int, float, int, int)
+            wp.empty(0, dtype=dtype, device=film.window.device) for dtype in (int, float, int, wp.int64)
         )
         film.mattes.aside = wp.empty(0, dtype=MatteEntry, device=film.window.device)
         film.mattes.aside_count = wp.empty(0, dtype=int, device=film.window.device)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from raybatch_addon.core.film import tile as tiles
+from raybatch_addon.core.film.tile import FilmTiles
 from raybatch_addon.core.job import Job
 from raybatch_addon.core.scene.description import Closure, ClosureKind, Frame
 from raybatch_addon.core.settings.settings import RenderSettings
@@ -39,16 +39,21 @@ def test_each_of_them_is_counted_once(session, way):
     assert (film.counts == SETTINGS.sample_count).all() and not film.passes["Combined"][..., :3].any()
 
 
-def test_more_tiles_than_are_counted_together(session, monkeypatch):
-    """Tiles that go on, in parts, begin more counts than a worker has; counts are of a render alone. No other test has
-    workers for so many samples.
-    """
-    monkeypatch.setattr(tiles, "COUNTED_TOGETHER", 2)
+def test_parts_of_tiles_are_counted_in_one_render_alone(session, monkeypatch):
     monkeypatch.setattr(Job, "tile_parts", lambda self, devices: TileParts())
     monkeypatch.setattr(steps, "PART_LEAST", 1)
     for seed in (0, 1):
-        film = session.render(blinding(), SETTINGS.replace(tile_order="TILE_FIRST", seed=seed, sample_count=5))
-        assert film.statistics["invalid_samples"] == 5 * FRAME.pixel_count
+        film = session.render(blinding(), SETTINGS.replace(tile_order="TILE_FIRST", seed=seed))
+        assert film.statistics["invalid_samples"] == ALL
+
+
+def test_counts_pass_what_32_bits_hold(session, monkeypatch):
+    """A render of so many samples takes too long: counts begin at the largest signed number of 32 bits instead."""
+    most = 2**31 - 1
+    monkeypatch.setattr(FilmTiles, "begin_render", lambda self: self._invalid.fill_(most))
+    film = session.render(blinding(), SETTINGS)
+    workers, counted = divmod(film.statistics["invalid_samples"], most)
+    assert workers > 0 and counted == ALL
 
 
 def test_a_render_that_is_gone_on_with_counts_both_parts(session):

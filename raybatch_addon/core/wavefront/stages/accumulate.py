@@ -118,7 +118,7 @@ def _accumulate_kernel(layout: ChannelLayout) -> wp.Kernel:
                     channel = others_first + c
                     add(film, pixel * channels + channel, values[c, path], entry + channel)
         else:
-            wp.atomic_add(film.invalid, 0, 1)
+            wp.atomic_add(film.invalid, 0, wp.int64(1))
         if wp.static(has_others):
             values = paths.passes[0].values
             for c in range(values.shape[0]):
