@@ -22,8 +22,8 @@ ANIMATION = f"animation, {FRAMES} frames of 60 s"
 
 # Speedups of rendering that were measured on two H200s of one host, and seconds of one of them (docs/devices.md)
 MEASURED = (
-    Shared("demo", 1024, 39.8, 0.2, 135, 2, 1.975),
-    Shared("BMW", 1024, 50.4, 0.34, 135, 2, 1.968),
+    Shared("demo", 1024, 39.9, 0.2, 135, 2, 1.983),
+    Shared("BMW", 1024, 51.1, 0.34, 135, 2, 1.985),
     Shared("demo", 256, 10.0, 0.2, 40, 2, 1.972),
     Shared("BMW", 256, 12.5, 0.34, 40, 2, 1.867),
 )
