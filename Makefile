@@ -37,6 +37,8 @@ pytest := $(venv_python) -m pytest -n $(TEST_JOBS) --maxprocesses 4 --dist loadf
 # what the environment compiles ahead serves the tests
 check test test-all: export RAYBATCH_KERNEL_CACHE ?= $(CURDIR)/.cache/kernels
 check test test-all: export COMPILE_AHEAD = all
+# as tests that are not thorough compile their own (tests/conftest.py)
+check test: export RAYBATCH_OPTIMISATION ?= 1
 # these need no kernels of the environment
 lint format package wheel repository docs: export COMPILE_AHEAD = later
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from raybatch_addon.core.device.kernel import SPECIALISED_CODE
+from raybatch_addon.core.device.kernel import OPTIMISATION, SPECIALISED_CODE
 from tests.support.running.file_seconds import file_seconds
 from tests.support.running.kernel_builds import build_once
 from tests.support.under_test import DEVICE
@@ -31,6 +31,7 @@ def pytest_addoption(parser):
 def pytest_configure(config):
     if DEVICE == "cpu" and not config.option.thorough:  # for kernels that compile in half the time
         os.environ.setdefault(SPECIALISED_CODE, "OUT_OF_LINE")
+        os.environ.setdefault(OPTIMISATION, "1")
     config.addinivalue_line("markers", "thorough: takes a minute or more, and runs with --thorough alone")
 
 

@@ -39,6 +39,7 @@ GROUPS = ("scripts", "cluster", "blender", "test")
 CORE = "raybatch_addon/core"  # whose code kernels are made of
 SOURCES = (".py", ".h")
 CACHE_VARIABLE = "RAYBATCH_KERNEL_CACHE"  # names the folder that keeps kernels, where that is not the user's
+OPTIMISATION_VARIABLE = "RAYBATCH_OPTIMISATION"  # how much compilers optimise kernels, where that is not as usual
 
 
 def requirements(pyproject: Path) -> tuple[list[str], list[str]]:
@@ -92,9 +93,9 @@ class KernelJob:
 
     def __init__(self, folder: Path, environment: str, python: Path):
         """In the `folder` of an environment that `environment` stands for, whose Python is `python`."""
-        # each folder that keeps kernels has a stamp of its own
-        kept = os.environ.get(CACHE_VARIABLE, "")
-        name = f"raybatch-kernels-{digest([kept.encode()])[:8]}" if kept else "raybatch-kernels"
+        # each folder that keeps kernels has a stamp of its own, and kernels of other optimisation have
+        asked = [os.environ.get(each, "") for each in (CACHE_VARIABLE, OPTIMISATION_VARIABLE)]
+        name = f"raybatch-kernels-{digest([each.encode() for each in asked])[:8]}" if any(asked) else "raybatch-kernels"
         self._stamp, self._log = folder / name, folder / f"{name}.log"
         self._lock = folder / f"{name}.lock"  # held by the process that compiles, as long as there is one
         self._expected = digest([environment.encode(), *sources(ROOT / CORE)])

@@ -21,7 +21,7 @@ from .codegen.local_arrays import set_local_arrays_once
 from .compiler import compile_apart
 from .declared import is_known
 from .kept_kernels import folders, spare_folder
-from .kernel import block_size_of
+from .kernel import block_size_of, optimisation_level
 from .loading import find_files, is_loaded, load, load_here_what_is_launched
 from .precompiled_header import share_precompiled_header
 from .ready import write_notes
@@ -40,7 +40,7 @@ def start_warp(cache_folder: str | Path | None = None) -> None:
     device; kernels are cached in `cache_folder`.
 
     Where that folder cannot be made they are kept in a temporary one, and a note says so. Raises `DeviceError` where
-    there is none either.
+    there is none either, and `SettingsError` for a level of optimisation that does not exist (`kernel.py`).
     """
     with _warp_lock:
         wp.config.log_level = wp.LOG_ERROR
@@ -57,6 +57,9 @@ def start_warp(cache_folder: str | Path | None = None) -> None:
 
 @functools.cache
 def _initialize_warp() -> None:
+    level = optimisation_level()
+    if level is not None:
+        wp.config.optimization_level = level
     with _without_lines(_NO_CUDA):
         wp.init()
     compile_apart()

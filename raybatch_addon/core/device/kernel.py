@@ -42,11 +42,14 @@ OUT_OF_LINE_KERNEL_OPTIONS: dict[str, Any] = unique_options(OUT_OF_LINE_OPTIONS)
 # By these modules of the core are known
 OUR_FLAGS = {each["cpu_compiler_flags"] for each in (MODULE_OPTIONS, OUT_OF_LINE_OPTIONS)}
 
-# An environment variable for who compiles much and renders little: OUT_OF_LINE says that specialised kernels of stages,
-# volumes and estimates are compiled as large modules of the general tier are. By default they are INLINED, and most
-# render faster so.
+# Environment variables for who compiles much and renders little; no bit of a film depends on them.
+# OUT_OF_LINE says that specialised kernels of stages, volumes and estimates are compiled as large modules of the
+# general tier are. By default they are INLINED, and most render faster so.
 SPECIALISED_CODE = "RAYBATCH_SPECIALISED_CODE"
 _CODES = ("INLINED", "OUT_OF_LINE")
+# How much compilers optimise every kernel. By default it is 2 for CPUs and 3 for CUDA devices, as Warp has it.
+OPTIMISATION = "RAYBATCH_OPTIMISATION"
+_LEVELS = ("0", "1", "2", "3")
 
 # Kernels of the general tier: each has a module, in which the interpreter of programs is one function and each op is
 # another, out of line.
@@ -74,10 +77,21 @@ def kernel_options(out_of_line: bool) -> dict[str, Any]:
 
 def specialised_out_of_line() -> bool:
     """Whether the environment asks for specialised kernels that compile sooner. Raises `SettingsError`."""
-    asked = os.environ.get(SPECIALISED_CODE) or _CODES[0]
-    if asked not in _CODES:
-        raise SettingsError(f"{SPECIALISED_CODE} is {asked!r}; set it to one of {', '.join(_CODES)}, or not at all")
-    return asked == "OUT_OF_LINE"
+    return _asked(SPECIALISED_CODE, _CODES) == "OUT_OF_LINE"
+
+
+def optimisation_level() -> int | None:
+    """How much the environment asks compilers to optimise, 0 to 3; None where it does not. Raises `SettingsError`."""
+    asked = _asked(OPTIMISATION, _LEVELS)
+    return int(asked) if asked else None
+
+
+def _asked(variable: str, values: tuple[str, ...]) -> str:
+    """One of `values`, or nothing."""
+    asked = os.environ.get(variable, "")
+    if asked and asked not in values:
+        raise SettingsError(f"{variable} is {asked!r}; set it to one of {', '.join(values)}, or not at all")
+    return asked
 
 
 def is_general(module: wp.Module) -> bool:

@@ -88,6 +88,7 @@ def _make(name: str) -> Path:
 
 def _compile_nothing(folder: Path) -> None:
     """Compile an empty file as kernels are compiled, which leaves the parsed header in `folder`."""
+    level = wp.config.optimization_level
     with tempfile.TemporaryDirectory(dir=folder) as scratch:
         source = Path(scratch) / "nothing.cpp"
         source.write_text('#define WP_TILE_BLOCK_DIM 1\n#include "builtin.h"\n', encoding="utf-8")
@@ -99,6 +100,7 @@ def _compile_nothing(folder: Path) -> None:
             use_precompiled_headers=True,
             pch_dir=str(folder),
             block_dim=1,
+            **({} if level is None else {"optimization_level": level}),
         )
 
 

@@ -6,9 +6,11 @@ import warp as wp
 
 from raybatch_addon.core.device.kernel import (
     MODULE_OPTIONS,
+    OPTIMISATION,
     OUT_OF_LINE_OPTIONS,
     SPECIALISED_CODE,
     is_general,
+    optimisation_level,
     specialised_out_of_line,
 )
 from raybatch_addon.core.errors import SettingsError
@@ -19,6 +21,7 @@ from raybatch_addon.core.wavefront.estimates.work import Estimate
 from raybatch_addon.core.wavefront.kernels import StageKernels
 from raybatch_addon.core.wavefront.stages.work import ShadingStage
 from tests.support import scenes
+from tests.support.command_line import run_python
 from tests.support.feature_scenes import ALL_FEATURES, SETTINGS
 from tests.support.under_test import DEVICE
 
@@ -80,3 +83,31 @@ def test_a_code_that_does_not_exist_is_refused(monkeypatch):
     monkeypatch.setenv(SPECIALISED_CODE, "SMALL")
     with pytest.raises(SettingsError, match="INLINED, OUT_OF_LINE"):
         specialised_out_of_line()
+
+
+# Prints the level that a process compiles with, and the name of a kernel's module, which is that of its file
+LEVEL = """
+import warp as wp
+from raybatch_addon.core.device.devices import start_warp
+from raybatch_addon.core.film.tile import add_spill_kernel as kernel
+start_warp()
+print(wp.config.optimization_level, kernel.module.get_module_identifier())
+"""
+
+
+def test_kernels_of_another_optimisation_have_other_names(monkeypatch):
+    monkeypatch.delenv(OPTIMISATION, raising=False)
+    assert optimisation_level() is None
+    said = {}
+    for level in ("", "1", "3"):
+        monkeypatch.setenv(OPTIMISATION, level)
+        said[level] = run_python(LEVEL).stdout.split()
+    assert [level for level, _ in said.values()] == ["None", "1", "3"]
+    assert len({name for _, name in said.values()}) == 3
+
+
+@pytest.mark.parametrize("level", ["4", "fast"])
+def test_a_level_that_does_not_exist_is_refused(monkeypatch, level):
+    monkeypatch.setenv(OPTIMISATION, level)
+    with pytest.raises(SettingsError, match=f"{OPTIMISATION} is {level!r}; set it to one of 0, 1, 2, 3, or not at all"):
+        optimisation_level()
