@@ -38,8 +38,8 @@ KERNELS = ("wait", "all", "later", "start")  # the first where nothing is said
 GROUPS = ("scripts", "cluster", "blender", "test")
 CORE = "raybatch_addon/core"  # whose code kernels are made of
 SOURCES = (".py", ".h")
-CACHE_VARIABLE = "RAYBATCH_KERNEL_CACHE"  # names the folder that keeps kernels, where that is not the user's
-OPTIMISATION_VARIABLE = "RAYBATCH_OPTIMISATION"  # how much compilers optimise kernels, where that is not as usual
+# They name the folder that keeps kernels, and say how much compilers optimise them, where that is not as for users
+KERNEL_VARIABLES = ("RAYBATCH_KERNEL_CACHE", "RAYBATCH_OPTIMISATION")
 
 
 def requirements(pyproject: Path) -> tuple[list[str], list[str]]:
@@ -93,8 +93,8 @@ class KernelJob:
 
     def __init__(self, folder: Path, environment: str, python: Path):
         """In the `folder` of an environment that `environment` stands for, whose Python is `python`."""
-        # each folder that keeps kernels has a stamp of its own, and kernels of other optimisation have
-        asked = [os.environ.get(each, "") for each in (CACHE_VARIABLE, OPTIMISATION_VARIABLE)]
+        # each folder that keeps kernels has a stamp of its own, and so have kernels that are optimised otherwise
+        asked = [os.environ.get(each, "") for each in KERNEL_VARIABLES]
         name = f"raybatch-kernels-{digest([each.encode() for each in asked])[:8]}" if any(asked) else "raybatch-kernels"
         self._stamp, self._log = folder / name, folder / f"{name}.log"
         self._lock = folder / f"{name}.lock"  # held by the process that compiles, as long as there is one

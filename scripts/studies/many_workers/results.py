@@ -101,9 +101,10 @@ def speedup(case: devices.Shared) -> float:
 
 def _judged(costs: Costs) -> str:
     rows, serial = [], devices.serial_share(jobs.FITTED.gpus, jobs.FITTED.speedup)
-    for case in jobs.MEASURED:
+    notes = {jobs.FITTED: " (the share is of this)", **dict.fromkeys(jobs.EARLIER, " (tiles were dealt otherwise)")}
+    for case in (*jobs.MEASURED, *jobs.EARLIER):
         found, law = speedup(case), devices.amdahl(case.gpus, serial)
-        what = f"{case.words}{' (the share is of this)' if case is jobs.FITTED else ''}"
+        what = f"{case.words}{notes.get(case, '')}"
         error = f"{found / case.speedup - 1:+.1%}"
         rows.append([what, f"{case.speedup:.2f}", f"{found:.2f}", error, f"{law:.2f}"])
     for case in jobs.PREDICTED:

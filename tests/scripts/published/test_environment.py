@@ -150,7 +150,8 @@ def made(tmp_path, monkeypatch):
     monkeypatch.setattr(environment, "prewarming", lambda: [str(script), "--some", "cpu"])
     monkeypatch.setattr(environment, "CORE", str(one.core))
     monkeypatch.setattr(environment, "WAIT_SECONDS", AT_MOST)
-    monkeypatch.delenv("RAYBATCH_KERNEL_CACHE", raising=False)
+    for variable in environment.KERNEL_VARIABLES:
+        monkeypatch.delenv(variable, raising=False)
     yield one
     one.let_go()
 
@@ -233,12 +234,14 @@ def test_kernels_of_other_code_are_compiled_and_not_waited_for(made, capfd, name
     assert wait_for(lambda: made.stamp.read_text() != before)
 
 
-def test_each_folder_of_kernels_has_a_stamp(made, monkeypatch):
+def test_each_folder_of_kernels_and_each_optimisation_has_a_stamp(made, monkeypatch):
     made.let_go()
     assert made.make() == 0
-    monkeypatch.setenv("RAYBATCH_KERNEL_CACHE", str(made.here / "kernels"))
-    assert made.make() == 0 and made.compilers() == 2
-    assert made.make() == 0 and made.compilers() == 2
+    asked = ("RAYBATCH_KERNEL_CACHE", str(made.here / "kernels")), ("RAYBATCH_OPTIMISATION", "1")
+    for compilers, variable in enumerate(asked, 2):
+        monkeypatch.setenv(*variable)
+        assert made.make() == 0 and made.compilers() == compilers
+        assert made.make() == 0 and made.compilers() == compilers
 
 
 def test_later_compiles_nothing(made):
