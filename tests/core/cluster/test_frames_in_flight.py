@@ -29,6 +29,17 @@ def frame(number):
     return dataclasses.replace(scene, camera=dataclasses.replace(scene.camera, transform=transform))
 
 
+def is_staged(pending):
+    """Whether machines have what the render needs, so that workers may begin with it."""
+    return bool(pending._under_way.render._staging.ready)
+
+
+def dealing_once(condition, count):
+    """As `dealing`, but nothing before `condition()`."""
+    deal = dealing(count)
+    return lambda self, workers: deal(self, workers) if condition() else None
+
+
 @pytest.fixture
 def asked(monkeypatch):
     """The recipe and the first sample of each task that was asked for, in order."""
@@ -73,11 +84,18 @@ def test_the_next_frame_has_what_a_frame_leaves(connection, session, monkeypatch
             return held[0]
         return submit(self, name, *arguments, **options)
 
-    monkeypatch.setattr(RangeDeal, "next", dealing(24))
+    frames = []
+
+    def are_staged():
+        """Both: what is sent to a worker would wait behind the task that never comes back."""
+        return len(frames) == 2 and all(map(is_staged, frames))
+
+    monkeypatch.setattr(RangeDeal, "next", dealing_once(are_staged, 24))
     monkeypatch.setattr(RangeDeal, "is_late", lambda self, samples, seconds: False)
     monkeypatch.setattr(Connection, "submit", submit_held)
     cluster = ClusterSession(connection)
     slow, second = cluster.begin(frame(0), SETTINGS), cluster.begin(frame(1), SETTINGS)
+    frames += slow, second
     wait_for(lambda: second.is_done)
     assert not slow.is_done
     assert_same_film(second.film(), session.render(frame(1), SETTINGS))
@@ -93,15 +111,22 @@ def wait_there(path):
         time.sleep(0.05)
 
 
-def test_a_frame_that_is_waited_for_goes_first(connection, long_tasks, asked):
-    cluster = ClusterSession(connection)
+def test_a_frame_that_is_waited_for_goes_first(connection, monkeypatch, asked):
+    begun, cluster = [], ClusterSession(connection)
+
+    def is_awaited():
+        """Both may begin, and the later one is waited for."""
+        return len(begun) == 2 and all(map(is_staged, begun)) and begun[1]._under_way.is_awaited
+
+    monkeypatch.setattr(RangeDeal, "next", dealing_once(is_awaited, 2))
     earlier, later = cluster.begin(frame(0), SETTINGS), cluster.begin(frame(1), SETTINGS)
+    begun += earlier, later
     assert later.film().complete
     assert earlier.film().complete
     frames = [digest for digest, _ in asked]
     of_first, of_second = (parts_of(frame(number), SETTINGS).digest for number in (0, 1))
     last = len(frames) - 1 - frames[::-1].index(of_second)
-    assert frames[last:].count(of_first) > 6  # of 24
+    assert frames[last:].count(of_first) > 12  # of 24
     cluster.close()
 
 
