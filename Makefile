@@ -37,8 +37,8 @@ pytest := $(venv_python) -m pytest -n $(TEST_JOBS) --maxprocesses 4 --dist loadf
 # what the environment compiles ahead serves the tests
 check test test-all: export RAYBATCH_KERNEL_CACHE ?= $(CURDIR)/.cache/kernels
 check test test-all: export COMPILE_AHEAD = all
-# as tests that are not thorough compile their own (tests/conftest.py)
-check test: export RAYBATCH_OPTIMISATION ?= 1
+# how kernels of the environment are optimised there: as tests/conftest.py has it for others
+check test: OPTIMISATION = 1
 # these need no kernels of the environment
 lint format package wheel repository docs: export COMPILE_AHEAD = later
 
@@ -48,7 +48,8 @@ help:
 	@sed -n 's/^# //p' Makefile
 
 environment:
-	@sh scripts/environment/environment.sh $(COMPILE_AHEAD)
+	@RAYBATCH_OPTIMISATION=$${RAYBATCH_OPTIMISATION:-$(OPTIMISATION)} \
+		sh scripts/environment/environment.sh $(COMPILE_AHEAD)
 
 # compiles what the demo needs first, and then, in the background, what any scene can begin with
 render: export COMPILE_AHEAD = later

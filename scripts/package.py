@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import importlib.metadata
 import importlib.util
+import os
 import shutil
 import subprocess
 import sys
@@ -144,6 +145,8 @@ def add_kernels(folder: Path, platform: str, kept: Path, targets: str) -> None:
     """Put kernels compiled for `targets` into the laid out extension; what was compiled before is in `kept`."""
     try:
         from lib.shipped_kernels import TARGETS, can_be_made, make_kernels
+
+        from raybatch_addon.core.device.kernel import OPTIMISATION
     except ImportError as error:
         raise PackageError(
             f"kernels cannot be compiled ({error}): run this with the environment that `make environment` makes, or "
@@ -153,6 +156,8 @@ def add_kernels(folder: Path, platform: str, kept: Path, targets: str) -> None:
         print(f"{platform}: without compiled kernels", file=sys.stderr)
         return
     chosen = targets.split(",") if targets else list(TARGETS)
+    if os.environ.get(OPTIMISATION):
+        raise PackageError(f"{OPTIMISATION} is set: users would not find kernels that are optimised so; unset it")
     if unknown := set(chosen) - set(TARGETS):
         raise PackageError(f"unknown target {', '.join(sorted(unknown))}; choose from {', '.join(TARGETS)}")
     try:

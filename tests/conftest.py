@@ -29,9 +29,9 @@ def pytest_addoption(parser):
 
 
 def pytest_configure(config):
-    if DEVICE == "cpu" and not config.option.thorough:  # for kernels that compile in half the time
-        os.environ.setdefault(SPECIALISED_CODE, "OUT_OF_LINE")
-        os.environ.setdefault(OPTIMISATION, "1")
+    if DEVICE == "cpu" and not config.option.thorough:
+        os.environ.setdefault(SPECIALISED_CODE, "OUT_OF_LINE")  # specialised kernels compile in half the time
+        os.environ.setdefault(OPTIMISATION, "1")  # all kernels in a fifth less
     config.addinivalue_line("markers", "thorough: takes a minute or more, and runs with --thorough alone")
 
 

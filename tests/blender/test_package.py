@@ -264,6 +264,14 @@ def test_a_refused_manifest_leaves_no_zip(tmp_path, monkeypatch):
     assert list((tmp_path / "dist").iterdir()) == []
 
 
+@pytest.mark.skipif(not can_be_made("linux-x64"), reason="kernels are compiled on Linux")
+def test_kernels_that_nobody_finds_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setenv("RAYBATCH_OPTIMISATION", "1")
+    with pytest.raises(package.PackageError, match="RAYBATCH_OPTIMISATION is set"):
+        package.add_kernels(tmp_path, "linux-x64", tmp_path / "kept", "")
+    assert not (tmp_path / "kernels").exists()
+
+
 def test_an_unknown_platform_is_named():
     done = run_script("package.py", "amiga")
     assert done.returncode == 2

@@ -122,9 +122,13 @@ def test_what_was_not_measured_is_predicted_from_what_was():
 
 
 def test_measured_speedups_are_met():
-    """Those of GPUs of a process within a percent, by one figure of theirs; those of two workers within 10."""
+    """Those of GPUs of a process within a percent, by one figure of theirs; those of two workers within 10. Where tiles
+    were dealt otherwise, they were at most so much slower as their tiles waited.
+    """
     for case in jobs.MEASURED:
         assert results.speedup(case) == pytest.approx(case.speedup, rel=0.01), case
+    for case in jobs.EARLIER:
+        assert 0.0 <= results.speedup(case) / case.speedup - 1.0 < 0.07, case
     assert results.speedup(jobs.FITTED) == pytest.approx(jobs.FITTED.speedup)
     costs = results.costs_of(read_report(ROOT / "docs/studies/data/many-workers-cpu.json"))
     for alone, measured in jobs.LOCAL:

@@ -42,7 +42,7 @@ OUT_OF_LINE_KERNEL_OPTIONS: dict[str, Any] = unique_options(OUT_OF_LINE_OPTIONS)
 # By these modules of the core are known
 OUR_FLAGS = {each["cpu_compiler_flags"] for each in (MODULE_OPTIONS, OUT_OF_LINE_OPTIONS)}
 
-# Environment variables for who compiles much and renders little; no bit of a film depends on them.
+# Environment variables for who compiles much and renders little. On a CPU no bit of a film depends on them.
 # OUT_OF_LINE says that specialised kernels of stages, volumes and estimates are compiled as large modules of the
 # general tier are. By default they are INLINED, and most render faster so.
 SPECIALISED_CODE = "RAYBATCH_SPECIALISED_CODE"

@@ -59,8 +59,10 @@ def _shared_folder(own_folder: Callable[[], str]) -> str:
     """The folder of the header, made where there is none; Warp's own for this thread where it cannot be."""
     header = Path(wp._src.build.warp_home) / "native" / "builtin.h"
     try:
-        # another copy of Warp, or the same installed again, may not use it
-        key = hashlib.sha256(f"{header} {header.stat().st_mtime_ns}".encode()).hexdigest()[:16]
+        # another copy of Warp, or the same installed again, may not use it, nor a compiler that optimises otherwise
+        level = wp.config.optimization_level
+        own = f"{header} {header.stat().st_mtime_ns}{'' if level is None else f' {level}'}"
+        key = hashlib.sha256(own.encode()).hexdigest()[:16]
         with _lock:
             found = [each for each in (folder / f"header-{key}" for folder in folders()) if any(each.glob("*.pch"))]
             return str(found[0] if found else _make(f"header-{key}"))

@@ -100,9 +100,9 @@ def figures_of(ours: Picture, theirs: Picture) -> Figures:
 
 
 def empty_scene() -> bpy.types.Scene:
-    """An empty scene with factory settings, RayBatch as its engine, and only a camera in it.
+    """The empty one of Blender's factory scenes, with RayBatch as its engine, and only a camera in it.
 
-    The add-on is registered.
+    The add-on is registered. Preferences stay as they are.
     """
     # not read_factory_settings, which takes six times as long: it also registers every add-on of Blender's anew
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)

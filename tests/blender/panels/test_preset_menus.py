@@ -77,8 +77,8 @@ def _made(path):
     return str(path)
 
 
-def test_a_preset_is_undone(scene):
-    bpy.context.preferences.edit.use_global_undo = True
+def test_a_preset_is_undone(scene, monkeypatch):
+    monkeypatch.setattr(bpy.context.preferences.edit, "use_global_undo", True)
     scene.raybatch.queue_size = 9
     bpy.ops.ed.undo_push(message="before")
     bpy.ops.raybatch.preset(preset="THESIS")

@@ -34,10 +34,16 @@ def is_staged(pending):
     return bool(pending._under_way.render._staging.ready)
 
 
-def dealing_once(condition, count):
-    """As `dealing`, but nothing before `condition()`."""
-    deal = dealing(count)
-    return lambda self, workers: deal(self, workers) if condition() else None
+def dealing_after(condition, count):
+    """As `dealing`, but nothing before `condition()` was met."""
+    deal, met = dealing(count), threading.Event()
+
+    def dealt(self, workers):
+        if not met.is_set() and condition():
+            met.set()
+        return deal(self, workers) if met.is_set() else None
+
+    return dealt
 
 
 @pytest.fixture
@@ -90,19 +96,21 @@ def test_the_next_frame_has_what_a_frame_leaves(connection, session, monkeypatch
         """Both: what is sent to a worker would wait behind the task that never comes back."""
         return len(frames) == 2 and all(map(is_staged, frames))
 
-    monkeypatch.setattr(RangeDeal, "next", dealing_once(are_staged, 24))
+    monkeypatch.setattr(RangeDeal, "next", dealing_after(are_staged, 24))
     monkeypatch.setattr(RangeDeal, "is_late", lambda self, samples, seconds: False)
     monkeypatch.setattr(Connection, "submit", submit_held)
-    cluster = ClusterSession(connection)
-    slow, second = cluster.begin(frame(0), SETTINGS), cluster.begin(frame(1), SETTINGS)
-    frames += slow, second
-    wait_for(lambda: second.is_done)
-    assert not slow.is_done
-    assert_same_film(second.film(), session.render(frame(1), SETTINGS))
-    slow.cancel()
-    assert not slow.film().complete
-    cluster.close()
-    (tmp_path / "end").touch()
+    try:
+        cluster = ClusterSession(connection)
+        slow, second = cluster.begin(frame(0), SETTINGS), cluster.begin(frame(1), SETTINGS)
+        frames += slow, second
+        wait_for(lambda: second.is_done)
+        assert not slow.is_done
+        assert_same_film(second.film(), session.render(frame(1), SETTINGS))
+        slow.cancel()
+        assert not slow.film().complete
+        cluster.close()
+    finally:
+        (tmp_path / "end").touch()
 
 
 def wait_there(path):
@@ -118,7 +126,7 @@ def test_a_frame_that_is_waited_for_goes_first(connection, monkeypatch, asked):
         """Both may begin, and the later one is waited for."""
         return len(begun) == 2 and all(map(is_staged, begun)) and begun[1]._under_way.is_awaited
 
-    monkeypatch.setattr(RangeDeal, "next", dealing_once(is_awaited, 2))
+    monkeypatch.setattr(RangeDeal, "next", dealing_after(is_awaited, 2))
     earlier, later = cluster.begin(frame(0), SETTINGS), cluster.begin(frame(1), SETTINGS)
     begun += earlier, later
     assert later.film().complete

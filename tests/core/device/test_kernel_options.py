@@ -109,5 +109,7 @@ def test_kernels_of_another_optimisation_have_other_names(monkeypatch):
 @pytest.mark.parametrize("level", ["4", "fast"])
 def test_a_level_that_does_not_exist_is_refused(monkeypatch, level):
     monkeypatch.setenv(OPTIMISATION, level)
-    with pytest.raises(SettingsError, match=f"{OPTIMISATION} is {level!r}; set it to one of 0, 1, 2, 3, or not at all"):
+    message = f"{OPTIMISATION} is {level!r}; set it to one of 0, 1, 2, 3, or not at all"
+    with pytest.raises(SettingsError, match=message):
         optimisation_level()
+    assert f"SettingsError: {message}" in run_python(LEVEL).stderr

@@ -9,6 +9,7 @@ import time
 import pytest
 
 from raybatch_addon.core.device import precompiled_header
+from raybatch_addon.core.device.kernel import OPTIMISATION
 from tests.core.device.killed import ROOT, check_it_goes_at_the_next_start, holding, start_another
 
 COMPILE = """
@@ -71,6 +72,15 @@ def test_one_that_is_gone_is_made_again(folder):
     path.unlink()
     compile_kernels(folder, "5")
     assert list(parsed_headers(folder)) == [path]
+
+
+def test_each_optimisation_has_its_own(folder, monkeypatch):
+    """By its name the level is what the compiler was given."""
+    before = parsed_headers(folder)
+    monkeypatch.setenv(OPTIMISATION, "0")
+    compile_kernels(folder, "6", "7")
+    (path,) = parsed_headers(folder).keys() - before.keys()
+    assert "_o0_" in path.name and path.parent not in {each.parent for each in before}
 
 
 # A process with a temporary folder for Warp's header, which waits for a line

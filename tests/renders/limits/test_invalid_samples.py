@@ -42,9 +42,12 @@ def test_each_of_them_is_counted_once(session, way):
 def test_parts_of_tiles_are_counted_in_one_render_alone(session, monkeypatch):
     monkeypatch.setattr(Job, "tile_parts", lambda self, devices: TileParts())
     monkeypatch.setattr(steps, "PART_LEAST", 1)
+    parts, note = [], TileParts.note
+    monkeypatch.setattr(TileParts, "note", lambda self, tile, *its: parts.append(tile) or note(self, tile, *its))
     for seed in (0, 1):
         film = session.render(blinding(), SETTINGS.replace(tile_order="TILE_FIRST", seed=seed))
         assert film.statistics["invalid_samples"] == ALL
+    assert len(parts) > 2 * len(set(parts)) > 2
 
 
 def test_counts_pass_what_32_bits_hold(session, monkeypatch):
