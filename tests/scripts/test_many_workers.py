@@ -122,13 +122,12 @@ def test_what_was_not_measured_is_predicted_from_what_was():
 
 
 def test_measured_speedups_are_met():
-    """Those of GPUs of a process within a percent, by one figure of theirs; those of two workers within 10. Where tiles
-    were dealt otherwise, they were at most so much slower as their tiles waited.
+    """Those of GPUs of a process within a percent, by one figure of theirs; those of earlier code, which dealt tiles
+    otherwise, within 6, by one of its own; those of two workers within 10.
     """
-    for case in jobs.MEASURED:
-        assert results.speedup(case) == pytest.approx(case.speedup, rel=0.01), case
-    for case in jobs.EARLIER:
-        assert 0.0 <= results.speedup(case) / case.speedup - 1.0 < 0.07, case
+    for cases, within in ((jobs.MEASURED, 0.01), (jobs.EARLIER, 0.06)):
+        for case in cases:
+            assert results.speedup(case, cases[0]) == pytest.approx(case.speedup, rel=within), case
     assert results.speedup(jobs.FITTED) == pytest.approx(jobs.FITTED.speedup)
     costs = results.costs_of(read_report(ROOT / "docs/studies/data/many-workers-cpu.json"))
     for alone, measured in jobs.LOCAL:
