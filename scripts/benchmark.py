@@ -88,7 +88,7 @@ def argument_parser() -> argparse.ArgumentParser:
     def command(name: str, description: str) -> argparse.ArgumentParser:
         added = commands.add_parser(
             name,
-            help=description.splitlines()[0],
+            help=" ".join(description.split()).partition(". ")[0].removesuffix(".") + ".",
             description=description,
             allow_abbrev=False,
             formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -1,18 +1,17 @@
 """Make a .blend of bare geometry, so that other engines can render it too. Needs bpy.
 
-python scripts/mesh_to_blend.py MESH.npz OUT.blend --camera ex,ey,ez,tx,ty,tz,fov [--up y]
+python scripts/mesh_to_blend.py MESH OUT.blend --camera ex,ey,ez,tx,ty,tz,fov [--up y]
     under a sun and a constant world
-python scripts/mesh_to_blend.py MESH.npz OUT.blend --stage [--up y]
+python scripts/mesh_to_blend.py MESH OUT.blend --stage [--up y]
     on a floor, under one area light, seen from the front
 
-MESH.npz holds `v` float32 [n, 3], `f` int32 [m, 3] and perhaps `m` [m], a material id a triangle (as
-`scripts/render.py` takes it). Everything is diffuse and white.
+MESH is geometry as `scripts/render.py` takes it: .obj, .ply, .gltf, .glb, or an .npz that holds `v` float32 [n, 3], `f`
+int32 [m, 3] and perhaps `m` [m], a material id a triangle. Everything is diffuse and white.
 """
 
 import argparse
 import math
 import sys
-import zipfile
 from pathlib import Path
 
 import bpy
@@ -22,25 +21,62 @@ from mathutils import Matrix, Vector
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from lib.command import UsageError, exit_code
+from lib.geometry_files import read_mesh
 from lib.node_trees import with_nodes
+from rendering.imported import UP_DEFAULT, import_objects
 
-ERRORS = (UsageError, OSError)
+from raybatch_addon.core.errors import RayBatchError, SceneError
+
+ERRORS = (RayBatchError, OSError)
 
 
-def mesh_object(path: Path, up: str, drop: list[int], flat: bool) -> bpy.types.Object:
-    """The geometry of `path` as an object, turned so that Blender's z is up, without the materials `drop`; normals are
-    interpolated, but for `flat`.
+def triangles_of(path: Path, up: str | None, drop: list[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices of a file, float32 [n, 3], turned so that z is up, and its triangles, int32 [m, 3], without those of the
+    materials `drop`. `up`: the axis that the file has up; None: as usual for its kind. Uses the open scene.
     """
-    try:
+    suffix = path.suffix.lower()
+    if suffix not in (".npz", *UP_DEFAULT):
+        raise UsageError(f"{path} is no geometry that can be read: .npz, {', '.join(UP_DEFAULT)}")
+    if not path.is_file():
+        raise SceneError(f"there is no file {path}")
+    if suffix != ".npz":
+        if drop:
+            raise UsageError("--drop names materials of an .npz, whose array m numbers them")
+        return imported_triangles(path, up or UP_DEFAULT[suffix])
+    mesh, _ = read_mesh(path)
+    v, f = mesh.positions, mesh.triangles
+    if drop:
         with np.load(path) as arrays:
-            v, f = arrays["v"].astype(np.float32), arrays["f"].astype(np.int32)
-            if drop:
-                f = f[~np.isin(arrays["m"], drop)]
-    except (EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
-        raise UsageError(f"{path} holds no geometry: {error}") from error
-    if up == "y":
-        v = v[:, [0, 2, 1]] * np.array([1, -1, 1], np.float32)
-    mesh = bpy.data.meshes.new(path.stem)
+            if "m" not in arrays:
+                raise UsageError(f"{path} has no array m, so that --drop names no materials")
+            f = f[~np.isin(arrays["m"], drop)]
+    return (v[:, [0, 2, 1]] * np.array([1, -1, 1], np.float32) if up == "y" else v), f
+
+
+def imported_triangles(path: Path, up: str) -> tuple[np.ndarray, np.ndarray]:
+    """The same of a file that Blender's importers read, whose objects are removed again."""
+    import_objects(path, up)
+    bpy.context.view_layer.update()
+    vertices, triangles, count = [], [], 0
+    for thing in [each for each in bpy.context.scene.objects if each.type == "MESH"]:
+        data = thing.data
+        data.calc_loop_triangles()
+        v, f = np.zeros(3 * len(data.vertices), np.float32), np.zeros(3 * len(data.loop_triangles), np.int32)
+        data.vertices.foreach_get("co", v)
+        data.loop_triangles.foreach_get("vertices", f)
+        matrix = np.array(thing.matrix_world)
+        vertices.append((v.reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32))
+        triangles.append(f.reshape(-1, 3) + count)
+        count += len(data.vertices)
+    if not any(map(len, triangles)):
+        raise SceneError(f"{path} has no faces to render; is it damaged?")
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    return np.concatenate(vertices), np.concatenate(triangles)
+
+
+def mesh_object(name: str, v: np.ndarray, f: np.ndarray, flat: bool) -> bpy.types.Object:
+    """An object of the vertices `v` and triangles `f`; normals are interpolated, but for `flat`."""
+    mesh = bpy.data.meshes.new(name)
     mesh.vertices.add(len(v))
     mesh.vertices.foreach_set("co", v.ravel())
     mesh.loops.add(f.size)
@@ -57,7 +93,7 @@ def mesh_object(path: Path, up: str, drop: list[int], flat: bool) -> bpy.types.O
     diffuse.inputs["Color"].default_value = (0.8, 0.8, 0.8, 1.0)
     tree.links.new(diffuse.outputs["BSDF"], output.inputs["Surface"])
     mesh.materials.append(material)
-    return bpy.data.objects.new(path.stem, mesh)
+    return bpy.data.objects.new(name, mesh)
 
 
 def point_camera(scene: bpy.types.Scene, eye: Vector, target: Vector, fov: float) -> None:
@@ -75,7 +111,8 @@ def under_the_sky(scene: bpy.types.Scene, given: argparse.Namespace) -> None:
         ex, ey, ez, tx, ty, tz, degrees = map(float, given.camera.split(","))
     except ValueError as error:
         raise UsageError("--camera takes seven numbers: ex,ey,ez,tx,ty,tz,fov_degrees") from error
-    turn = Matrix(((1, 0, 0), (0, 0, -1), (0, 1, 0))) if given.up == "y" else Matrix.Identity(3)
+    up = given.up or UP_DEFAULT.get(given.mesh.suffix.lower(), "z")
+    turn = Matrix(((1, 0, 0), (0, 0, -1), (0, 1, 0))) if up == "y" else Matrix.Identity(3)
     point_camera(scene, turn @ Vector((ex, ey, ez)), turn @ Vector((tx, ty, tz)), math.radians(degrees))
     sun = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", "SUN"))
     sun.data.energy, sun.data.angle = given.sun, math.radians(1)
@@ -111,7 +148,9 @@ def main() -> int:
     how = parser.add_mutually_exclusive_group(required=True)
     how.add_argument("--camera", help="ex,ey,ez,tx,ty,tz,fov_degrees, in the axes of the file")
     how.add_argument("--stage", action="store_true", help="on a floor, under an area light, seen from the front")
-    parser.add_argument("--up", choices=("y", "z"), default="z", help="the axis of the file that points up")
+    parser.add_argument(
+        "--up", choices=("y", "z"), help="the axis of the file that points up (default: z for .npz and .ply, else y)"
+    )
     parser.add_argument("--drop", type=int, action="append", default=[], help="leave out triangles of this material id")
     parser.add_argument(
         "--flat", action="store_true", help="shade every triangle with its own normal; else normals are interpolated"
@@ -124,19 +163,23 @@ def main() -> int:
 
 def run(given: argparse.Namespace) -> int:
     """Make the file that was asked for; the exit code."""
+    if given.up == "z" and given.mesh.suffix.lower() in (".gltf", ".glb"):
+        raise UsageError("glTF has y up by definition; leave --up out")
     bpy.ops.wm.read_factory_settings(use_empty=True)
+    v, f = triangles_of(given.mesh, given.up, given.drop)
     scene = bpy.context.scene
-    placed = mesh_object(given.mesh, given.up, given.drop, given.flat)
+    placed = mesh_object(given.mesh.stem, v, f, given.flat)
     scene.collection.objects.link(placed)
     if given.stage:
         on_a_stage(scene, placed)
     else:
         under_the_sky(scene, given)
     scene.render.resolution_x = scene.render.resolution_y = 1280
+    given.out.absolute().parent.mkdir(parents=True, exist_ok=True)
     try:
         bpy.ops.wm.save_as_mainfile(filepath=str(given.out.resolve()))
     except RuntimeError as error:  # as Blender reports what it cannot write
-        raise OSError(str(error).strip()) from error
+        raise OSError(str(error).removeprefix("Error:").strip()) from error
     return 0
 
 

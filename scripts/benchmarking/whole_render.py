@@ -7,6 +7,7 @@ from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from lib.blend_files import open_blend
 from lib.command import UsageError
 from rendering.request import ARCHIVE, BLEND, NPZ, RESOLUTION_DEFAULT, kind_of
 from rendering.standalone import resized
@@ -97,10 +98,7 @@ def _open_blend(request: RenderRequest) -> OpenedScene:
 
     if not hasattr(bpy.types.Scene, "raybatch"):  # of a file that was opened before
         raybatch_addon.register()
-    try:
-        bpy.ops.wm.open_mainfile(filepath=str(path.resolve()))
-    except RuntimeError as error:
-        raise UsageError(f"{path} cannot be opened: {error}") from None
+    open_blend(path)
     scene = bpy.context.scene
     if request.size:
         scene.render.resolution_x, scene.render.resolution_y = request.size

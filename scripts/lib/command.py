@@ -63,6 +63,12 @@ def run_command(
             folders.take_back()
 
 
+def first_line(error: BaseException) -> str:
+    """The first thing that Blender's message says, without its `Error:`."""
+    lines = [line.removeprefix("Error:").strip() for line in str(error).splitlines()]
+    return next((line for line in lines if line), type(error).__name__)
+
+
 def exit_code(
     script: str,
     work: Callable[[], int],

@@ -9,12 +9,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from lib.blend_files import unlike_blend
 from lib.command import UsageError
 
 # Licences that allow pictures of a file to be shown; all but CC0 ask for the name of who made it
 SHOWN = re.compile(r"CC0(-1\.0)?|CC-BY(-\d\.\d)?")
-_BLENDS = (b"BLENDER", b"\x28\xb5\x2f\xfd", b"\x1f\x8b")  # plain, and packed by Zstandard or gzip
-_POINTER = b"version https://git-lfs"
 
 
 @dataclass(frozen=True)
@@ -43,14 +42,11 @@ class RealFile:
         if self.path.is_dir():
             return f"{self.path} is a folder: name the .blend files in it"
         try:
-            with open(self.path, "rb") as opened:
-                begun = opened.read(len(_POINTER))
+            unlike = unlike_blend(self.path)
         except OSError as error:
             return f"{self.path} cannot be read ({error.strerror}): check its permissions"
-        if begun.startswith(_POINTER):
-            return f"{self.path} is a pointer of Git LFS, not the file: run `git lfs pull` in its repository"
-        if not begun.startswith(_BLENDS):
-            return f"{self.path} is not a .blend file: save it in Blender, or convert it there"
+        if unlike:
+            return f"{self.path} {unlike}"
         expected = self.about.get("md5")
         if expected and (found := self.md5()) != expected:
             return (

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import difflib
 import os
-import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import bpy
-from lib.command import RefusedError, UsageError
+from lib.blend_files import open_blend
+from lib.command import RefusedError, UsageError, first_line
 from lib.output import OutputFolders, described, numbered, print_notes, print_saved, print_warnings, write_json
 
 import raybatch_addon
@@ -34,7 +35,7 @@ from raybatch_addon.export.passes import (
 from raybatch_addon.export.settings import assign_setting, settings_from
 from raybatch_addon.export.taken_over import take
 from rendering.deliveries import FrameDeliveries, FrameFiles
-from rendering.formats import FORMATS, choose_format, picture_formats, set_format, unwritten_passes
+from rendering.formats import FORMATS, UNWRITTEN, choose_format, picture_formats, set_format, unwritten_passes
 from rendering.imported import import_geometry
 from rendering.progress import ProgressBar
 from rendering.request import BLEND, Request
@@ -223,7 +224,7 @@ class BlenderRender:
             if self._scene_saved and not self._request.renders:
                 return
             kind = RefusedError if report is not None and report is not before and report.refused else SceneError
-            said = reported[0] if reported else _one_line(error)
+            said = reported[0] if reported else first_line(error)
             if not reported and bpy.context.scene.camera is None and "camera" in said:
                 said = no_camera(bpy.context.scene.name)  # Blender looks for one before any engine does
             raise kind(f"{self._bar.label}{said}") from None
@@ -240,11 +241,7 @@ def _open(request: Request) -> None:
     if request.kind == BLEND:
         if request.camera or request.up:
             raise UsageError(f"{request.source} has a camera of its own; --camera and --up are for geometry files")
-        try:
-            bpy.ops.wm.open_mainfile(filepath=str(request.source.absolute()), load_ui=False)
-        except RuntimeError as error:
-            why = re.sub(r"^Cannot read file .*?: ", "", _one_line(error))  # its name is said already
-            raise SceneError(f"{request.source} cannot be opened: {why}") from None
+        open_blend(request.source)
     else:
         if request.frames is not None or request.view_layers:
             raise UsageError(
@@ -329,19 +326,19 @@ def _still_path(scene: bpy.types.Scene, out: str, number: int, many: bool) -> Pa
 
 
 def _names_to_know(out: str | None) -> list[str]:
-    """Notes where `out` is named as Blender does it, which may not have been meant."""
+    """Notes where `out` is named as Blender does it, which may not have been meant. Raises `UsageError` where it can
+    hardly have been.
+    """
     if not out or picture_formats(out) or out.endswith(("/", os.sep)):
         return []
     if os.path.isdir(_absolute(out)):
         return [f"{out} is a folder, and pictures get its name with a number behind; write {out}/ to have them in it"]
     extension = os.path.splitext(out)[1]
+    if extension.lower() in UNWRITTEN:
+        raise UsageError(f"Blender writes no {extension}: give {out} one of the extensions {', '.join(FORMATS)}")
+    if close := difflib.get_close_matches(extension.lower(), FORMATS, n=1, cutoff=0.75):
+        raise UsageError(f"{out}: {extension} is no picture's extension; did you mean {close[0]}?")
     if extension and "#" not in extension:
         why = f"{extension} is no picture's extension"
         return [f"{why}: {out} is a name as Blender has it, with a number and an extension behind"]
     return []
-
-
-def _one_line(error: BaseException) -> str:
-    """The first thing that Blender's message says, without its `Error:`."""
-    lines = [line.removeprefix("Error:").strip() for line in str(error).splitlines()]
-    return next((line for line in lines if line), type(error).__name__)

@@ -24,6 +24,8 @@ FORMATS = {
     ".webp": ("WEBP",),
     ".jp2": ("JPEG2000",),
 }
+# Extensions of pictures that other programs write
+UNWRITTEN = {".gif", ".svg", ".pdf", ".psd", ".heic", ".avif", ".ico", ".ppm"}
 # Formats whose pixels are whole numbers, which are written with 8 bits unless the file is set to that format
 _WHOLE_NUMBERS = {"PNG", "TIFF", "JPEG2000"}
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import bpy
 import numpy as np
@@ -35,17 +36,7 @@ def import_geometry(request: Request) -> None:
     view = parse_view(request.camera) if request.camera else None
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
-    path = str(request.source.absolute())
-    try:
-        if suffix == ".obj":
-            bpy.ops.wm.obj_import(filepath=path, **_axes(up))
-        elif suffix == ".ply":
-            bpy.ops.wm.ply_import(filepath=path, **_axes(up))
-        else:
-            bpy.ops.import_scene.gltf(filepath=path)
-    except (RuntimeError, OSError, ValueError, KeyError) as error:
-        text = " ".join(str(error).removeprefix("Error:").split())
-        raise SceneError(f"{request.source} cannot be imported: {text or type(error).__name__}") from None
+    import_objects(request.source, up)
     low, high = _bounds(scene)
     if low is None or high is None:
         raise SceneError(f"{request.source} has no faces to render; is it damaged?")
@@ -67,6 +58,21 @@ def import_geometry(request: Request) -> None:
         _add_camera(scene, view, float(np.linalg.norm(high - low)))
     if not any(thing.type == "LIGHT" for thing in scene.objects):
         _add_light(scene, view)
+
+
+def import_objects(source: Path, up: str) -> None:
+    """Put the objects of a file into the open scene, whose z is up, where `up` of the file is. Raises `SceneError`."""
+    path, suffix = str(source.absolute()), source.suffix.lower()
+    try:
+        if suffix == ".obj":
+            bpy.ops.wm.obj_import(filepath=path, **_axes(up))
+        elif suffix == ".ply":
+            bpy.ops.wm.ply_import(filepath=path, **_axes(up))
+        else:
+            bpy.ops.import_scene.gltf(filepath=path)
+    except (RuntimeError, OSError, ValueError, KeyError) as error:
+        text = " ".join(str(error).removeprefix("Error:").split())
+        raise SceneError(f"{source} cannot be imported: {text or type(error).__name__}") from None
 
 
 def _axes(up: str) -> dict[str, str]:

@@ -98,7 +98,8 @@ def parse_pass(text: str) -> str:
     for name in PASS_NAMES:
         if text.strip().lower() == name.lower():
             return name
-    close = difflib.get_close_matches(text.strip().title(), PASS_NAMES)
+    begun = [name for name in PASS_NAMES if text.strip() and name.lower().startswith(text.strip().lower())]
+    close = begun[:3] or difflib.get_close_matches(text.strip().title(), PASS_NAMES)
     hint = f"did you mean {' or '.join(close)}?" if close else f"the passes are {', '.join(PASS_NAMES)}"
     raise UsageError(f"there is no pass {text.strip()!r}; {hint}")
 

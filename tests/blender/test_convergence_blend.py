@@ -156,7 +156,7 @@ def test_a_blend_that_cannot_be_opened_is_one_line(tmp_path):
     line = error_line(
         call_script("convergence.py", tmp_path / "a.blend", "--device", "cpu", "--html", tmp_path / "new/page.html")
     )
-    assert "a.blend cannot be opened" in line and not (tmp_path / "new").exists()
+    assert "a.blend is not a .blend file" in line and not (tmp_path / "new").exists()
 
 
 def test_cycles_knows_no_halves(blend):

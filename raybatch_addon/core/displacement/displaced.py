@@ -16,7 +16,7 @@ from ..scene.notice import Notice, Weight
 from ..scene.validate import COORDINATE_MAX
 from ..shading.images.textures import ImageTable
 from .evaluate import Move, move_vertices, offsets_of
-from .vertices import MovedVertices, moved_mesh
+from .vertices import MovedVertices, moved_mesh, used_meshes
 
 
 def is_displaced(scene: Scene) -> bool:
@@ -81,7 +81,7 @@ class DisplacedMeshes:
                 meshes.append(found.mesh)
             chosen[place] = done[key]
         self._kept = kept
-        meshes, mesh_of = _used(meshes, chosen[kind])
+        meshes, mesh_of = used_meshes(meshes, chosen[kind])
         return dataclasses.replace(
             scene,
             meshes=tuple(meshes),
@@ -166,9 +166,3 @@ def _alone(scene: Scene, i: int) -> Scene:
     return dataclasses.replace(
         scene, meshes=(mesh,), instances=dataclasses.replace(row, mesh=np.zeros(1, np.int32)), lights=()
     )
-
-
-def _used(meshes: list[Mesh], mesh_of: np.ndarray) -> tuple[list[Mesh], np.ndarray]:
-    """The meshes that instances place, in their order."""
-    used, index = np.unique(mesh_of, return_inverse=True)
-    return [meshes[k] for k in used.tolist()], index.reshape(-1).astype(np.int32)

@@ -93,6 +93,12 @@ def moved_mesh(mesh: Mesh, moved: MovedVertices, offset: np.ndarray, renewed: np
     )
 
 
+def used_meshes(meshes: list[Mesh], mesh_of: np.ndarray) -> tuple[list[Mesh], np.ndarray]:
+    """The meshes that instances place, in their order."""
+    used, index = np.unique(mesh_of, return_inverse=True)
+    return [meshes[k] for k in used.tolist()], index.reshape(-1).astype(np.int32)
+
+
 def _renewed_normals(mesh: Mesh, positions: np.ndarray, renewed: np.ndarray) -> np.ndarray:
     normals = mesh.corner_normals.copy()
     which = np.flatnonzero(renewed)

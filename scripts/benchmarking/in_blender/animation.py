@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import bpy
-from lib.command import UsageError
+from lib.blend_files import open_blend
 
 import raybatch_addon
 from benchmarking.in_blender.moving_scene import SIZES, make_moving_scene
@@ -172,10 +172,7 @@ def _open(request: AnimationRequest) -> str:
     if request.path is None:
         make_moving_scene(SIZES[request.size], request.frames)
         return f"{request.size}, made"
-    try:
-        bpy.ops.wm.open_mainfile(filepath=str(request.path.resolve()), load_ui=False)
-    except RuntimeError as error:
-        raise UsageError(f"{request.path} cannot be opened: {' '.join(str(error).split())}") from None
+    open_blend(request.path)
     return request.path.name
 
 

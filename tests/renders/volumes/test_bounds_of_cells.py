@@ -15,7 +15,7 @@ from raybatch_addon.core.wavefront.volumes import upload
 from raybatch_addon.core.wavefront.volumes.bounds import CELL_POINTS, CELLS_MOST, Bounded, find_bounds
 from raybatch_addon.core.wavefront.volumes.kernels import launch_bound
 from raybatch_addon.core.wavefront.volumes.table import EXTINCTION, FLIGHTS, VolumeData
-from tests.renders.volumes.test_boundaries import moved
+from tests.renders.volumes.boundaries.test_boundaries import moved
 from tests.renders.volumes.test_bounds import absorbing
 from tests.renders.volumes.test_volumes import assert_mean, filled, in_box, medium, picture
 from tests.support import scenes

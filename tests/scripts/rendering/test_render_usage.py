@@ -49,6 +49,7 @@ def test_an_option_that_there_is_not_is_one_line_with_the_likeliest(capsys, argu
         (["--set", "samples=4"], "did you mean sample_count or "),
         (["--set", "sample_count=1.5"], "it must be a whole number, 1 to "),
         (["--passes", "Dept"], "there is no pass 'Dept'; did you mean Depth"),
+        (["--passes", "CryptoObject"], "did you mean CryptoObject00 or CryptoObject01"),
         (["--passes", "nothing like it"], "there is no pass 'nothing like it'; the passes are "),
         (["--frames", "1-3"], "is not a range A..B of whole numbers, such as 1..24"),
     ],

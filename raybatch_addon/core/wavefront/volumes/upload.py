@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from ...displacement.boundaries import is_boundary
 from ...errors import SceneError
 from ...programs.inputs_data import upload_inputs
 from ...programs.op import op_named
@@ -90,8 +91,8 @@ def upload_volumes(
         raise SceneError(f"{len(scene.instances):,} instances with {len(volumes):,} volumes are too many to number")
     volume_of = volume_numbers(scene)
     data.volume_of = wp.array(volume_of, dtype=int, device=device)
-    is_boundary = [_is_boundary(material) for material in scene.materials]
-    data.is_boundary = wp.array(np.array(is_boundary, np.int32), dtype=int, device=device)
+    seen_by_volume = [is_boundary(material) for material in scene.materials]
+    data.is_boundary = wp.array(np.array(seen_by_volume, np.int32), dtype=int, device=device)
     closures = [closure for volume in volumes for closure in volume.closures]
     for closure in closures:
         if not np.isfinite(closure.weight).all() or min(closure.weight) < 0:
@@ -136,12 +137,6 @@ def _may_scatter(volume: Volume) -> bool:
     made = () if volume.program is None else volume.program.instructions
     by_program = any(op_named(step.op).makes_closures and step.op not in _UNSCATTERED for step in made)
     return by_program or any(closure.kind > ClosureKind.VOLUME_ABSORPTION for closure in volume.closures)
-
-
-def _is_boundary(material) -> bool:
-    """Whether a surface is seen by nothing but its volume: it lets all light pass."""
-    passes = [c for c in material.closures if c.kind == ClosureKind.TRANSPARENT and c.weight == (1.0, 1.0, 1.0)]
-    return material.volume is not None and material.program is None and len(passes) == len(material.closures) == 1
 
 
 def _emission(

@@ -4,6 +4,7 @@ Operands are ordinary numbers, and numbers at the edges of every domain.
 """
 
 import itertools
+import math
 
 import numpy as np
 import pytest
@@ -132,3 +133,17 @@ def test_numbers_that_are_none_harm_nobody(case):
     values = values_of(name, 100, EDGES[:6] + NOT_NUMBERS)
     width = sum({"N": 1, "V": 3}[letter] for letter in op_named(name).outputs)
     assert on_device(name, immediates, values, table_of(name)).shape == (100, width)
+
+
+@pytest.mark.parametrize("sides", [2.3, 3.0, 3.6, 5.7, 8.0])
+@pytest.mark.parametrize("roundness", [0.0, 0.3, 1.0])
+def test_radial_tiles_meet_where_segments_do(sides, roundness):
+    angles = np.linspace(0, 2 * math.pi, 2000)[1:-1]
+    rows = np.stack([np.cos(angles), np.sin(angles), 0 * angles, 0 * angles + sides, 0 * angles + roundness], 1).astype(
+        np.float32
+    )
+    found = on_device("radial_tiling", (1,), rows)
+    assert np.isfinite(found).all()
+    assert np.abs(np.diff(found[:, 1])).max() < 0.02  # the coordinate out is continuous, all around
+    if sides >= 3:  # with fewer sides corners take more than the sides have
+        assert found[:, 0].min() > -1e-3 and found[:, 0].max() < 1 + 1e-3

@@ -273,17 +273,3 @@ def test_radial_tiles_of_a_square():
     assert tile(0, 0, normalize=1)[:2] == pytest.approx((0.5, 0))
     # fully rounded, the polygon is a circle
     assert tile(0.6, 0.8, 1.0)[:2] == pytest.approx((math.atan2(0.8, 0.6) - math.pi / 4, 0), abs=1e-6)
-
-
-@pytest.mark.parametrize("sides", [2.3, 3.0, 3.6, 5.7, 8.0])
-@pytest.mark.parametrize("roundness", [0.0, 0.3, 1.0])
-def test_radial_tiles_meet_where_segments_do(sides, roundness):
-    angles = np.linspace(0, 2 * math.pi, 2000)[1:-1]
-    rows = np.stack([np.cos(angles), np.sin(angles), 0 * angles, 0 * angles + sides, 0 * angles + roundness], 1).astype(
-        np.float32
-    )
-    found = on_host("radial_tiling", (1,), rows)
-    assert np.isfinite(found).all()
-    assert np.abs(np.diff(found[:, 1])).max() < 0.02  # the coordinate out is continuous, all around
-    if sides >= 3:  # with fewer sides corners take more than the sides have
-        assert found[:, 0].min() > -1e-3 and found[:, 0].max() < 1 + 1e-3
