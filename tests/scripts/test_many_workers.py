@@ -100,8 +100,10 @@ def test_amdahls_law_and_its_inverse():
     assert devices.serial_share(4, devices.amdahl(4, 0.07)) == pytest.approx(0.07)
 
 
-def test_one_gpu_takes_its_time_whatever_is_shared():
+def test_one_gpu_takes_its_time_whatever_several_lose():
     assert devices.process_seconds(devices.Shared("one", 1024, 10.0, 0.3, 40, 1), 0.3) == pytest.approx(10.0)
+    two = devices.Shared("two", 1024, 10.0, 0.3, 40, 2)
+    assert devices.process_seconds(two, 0.3) - devices.process_seconds(two, 0.0) == pytest.approx(0.3)
 
 
 def test_parts_bring_gpus_to_the_end_together():
@@ -115,20 +117,19 @@ def test_parts_bring_gpus_to_the_end_together():
 
 
 def test_what_was_not_measured_is_predicted_from_what_was():
-    serial = devices.serial_share(jobs.FITTED.gpus, jobs.FITTED.speedup)
+    """Between what it would be if shares of the work were lost, and if nothing were."""
     for case in jobs.PREDICTED:
         assert not case.speedup and case.gpus > max(each.gpus for each in jobs.MEASURED), case
-        assert results.speedup(case) == pytest.approx(devices.amdahl(case.gpus, serial), rel=0.03), case
+        assert devices.amdahl(case.gpus, results.not_shared()) < results.speedup(case) < case.gpus, case
 
 
 def test_measured_speedups_are_met():
-    """Those of GPUs of a process within a percent, by one figure of theirs; those of earlier code, which dealt tiles
-    otherwise, within 6, by one of its own; those of two workers within 10.
+    """Those of GPUs of a process within a percent, by one figure for all of them, or within two where runs themselves
+    differ by more; those of two workers within 10.
     """
-    for cases, within in ((jobs.MEASURED, 0.01), (jobs.EARLIER, 0.06)):
-        for case in cases:
-            assert results.speedup(case, cases[0]) == pytest.approx(case.speedup, rel=within), case
-    assert results.speedup(jobs.FITTED) == pytest.approx(jobs.FITTED.speedup)
+    for case in jobs.MEASURED:
+        within = 0.01 if case.samples == 1024 else 0.02
+        assert results.speedup(case) == pytest.approx(case.speedup, rel=within), case
     costs = results.costs_of(read_report(ROOT / "docs/studies/data/many-workers-cpu.json"))
     for alone, measured in jobs.LOCAL:
         assert jobs.LOCAL_START + simulated(costs, *jobs.local_job(alone)).seconds == pytest.approx(measured, rel=0.1)

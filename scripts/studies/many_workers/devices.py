@@ -85,16 +85,16 @@ def dealt_seconds(tiles: Sequence[float], samples: int, count: int) -> float:
     return now
 
 
-def process_seconds(case: Shared, serial: float) -> float:
-    """What the picture takes its GPUs, in the mean of some draws of its tiles' times. Of what one GPU takes, the share
-    `serial` is shared by nobody.
+def process_seconds(case: Shared, lost: float) -> float:
+    """What the picture takes its GPUs, in the mean of some draws of its tiles' times. `lost`: seconds that a render by
+    several takes beyond its samples, however many these are.
     """
     found = []
     for seed in range(8):
         tiles = np.exp(np.random.default_rng(seed).normal(0.0, case.spread, case.tiles))
-        tiles *= (1.0 - serial) * case.seconds / tiles.sum()
+        tiles *= case.seconds / tiles.sum()
         found.append(dealt_seconds(tiles.tolist(), case.samples, case.gpus))
-    return serial * case.seconds + float(np.mean(found))
+    return float(np.mean(found)) + (lost if case.gpus > 1 else 0.0)
 
 
 def amdahl(count: float, serial: float) -> float:

@@ -21,17 +21,14 @@ STILLS = {"still, 60 s": 60.0, "still, 10 min": 600.0, "still, 5 h": 18_000.0}
 ANIMATION = f"animation, {FRAMES} frames of 60 s"
 
 # Speedups of rendering that were measured on two H200s of one host, and seconds of one of them (docs/devices.md)
-MEASURED = (Shared("demo", 1024, 39.9, 0.2, 135, 2, 1.983), Shared("BMW", 1024, 51.1, 0.34, 135, 2, 1.985))
-FITTED = MEASURED[0]  # the row of it from which the share is taken that is not shared
-# Of earlier code, which dealt tiles otherwise and has a share of its own, that of the first row
-EARLIER = (
-    Shared("demo", 1024, 39.8, 0.2, 135, 2, 1.975),
-    Shared("BMW", 1024, 50.4, 0.34, 135, 2, 1.968),
-    Shared("demo", 256, 10.0, 0.2, 40, 2, 1.972),
-    Shared("BMW", 256, 12.5, 0.34, 40, 2, 1.867),
+MEASURED = (
+    Shared("demo", 1024, 39.9, 0.2, 135, 2, 1.983),
+    Shared("BMW", 1024, 51.1, 0.34, 135, 2, 1.985),
+    Shared("demo", 256, 10.05, 0.2, 40, 2, 1.941),
+    Shared("BMW", 256, 12.54, 0.34, 40, 2, 1.922),
 )
 # What was not measured, and is predicted
-PREDICTED = tuple(replace(case, gpus=gpus, speedup=0.0) for case in MEASURED for gpus in (4, 8))
+PREDICTED = tuple(replace(case, gpus=gpus, speedup=0.0) for case in MEASURED[:2] for gpus in (4, 8))
 # Two workers on two cores beside one process with two threads, seconds of this and of them: a sample takes a worker
 # 1.16 times as long, and the workers start for six seconds
 LOCAL = ((32.0, 42.0), (95.0, 127.0))

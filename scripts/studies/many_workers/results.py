@@ -87,39 +87,37 @@ def _parts(costs: Costs) -> str:
     return table(["part", "takes", ""], rows)
 
 
-def not_shared(fitted: devices.Shared = jobs.FITTED) -> float:
-    """The share of one GPU's time that others do not take over: with it `fitted` is as it was measured."""
-    evenly = devices.process_seconds(fitted, 0.0) / fitted.seconds
-    return (1.0 / fitted.speedup - evenly) / (1.0 - evenly)
+@functools.cache
+def lost_seconds() -> float:
+    """What a render by several GPUs takes beyond its samples, in the mean of those that were measured."""
+    return statistics.mean(case.seconds / case.speedup - devices.process_seconds(case, 0.0) for case in jobs.MEASURED)
 
 
-def speedup(case: devices.Shared, fitted: devices.Shared = jobs.FITTED) -> float:
-    """Of GPUs of a process, as simulated with the share of `fitted`."""
-    return case.seconds / devices.process_seconds(case, not_shared(fitted))
+def speedup(case: devices.Shared) -> float:
+    """Of GPUs of a process, as simulated."""
+    return case.seconds / devices.process_seconds(case, lost_seconds())
+
+
+def not_shared() -> float:
+    """The share of one GPU's time that others do not take over, by Amdahl's law and the longest render measured."""
+    longest = max(jobs.MEASURED, key=lambda case: case.seconds)
+    return devices.serial_share(longest.gpus, longest.speedup)
 
 
 def _judged(costs: Costs) -> str:
     rows = []
-    for cases, code in ((jobs.MEASURED, ""), (jobs.EARLIER, ", earlier code")):
-        fitted = cases[0]
-        for case in cases:
-            found, law = speedup(case, fitted), _law(case, fitted)
-            what = f"{case.words}{code}{' (the share is of this)' if case is fitted else ''}"
-            error = f"{found / case.speedup - 1:+.1%}"
-            rows.append([what, f"{case.speedup:.2f}", f"{found:.2f}", error, f"{law:.2f}"])
-    for case in jobs.PREDICTED:
-        found, law = speedup(case), _law(case, jobs.FITTED)
-        rows.append([f"{case.words} (predicted)", "", f"{found:.2f}", "", f"{law:.2f}"])
+    for case in (*jobs.MEASURED, *jobs.PREDICTED):
+        found, law = speedup(case), f"{devices.amdahl(case.gpus, not_shared()):.2f}"
+        if case.speedup:
+            rows.append([case.words, f"{case.speedup:.2f}", f"{found:.2f}", f"{found / case.speedup - 1:+.1%}", law])
+        else:
+            rows.append([f"{case.words} (predicted)", "", f"{found:.2f}", "", law])
     for alone, measured in jobs.LOCAL:
         found = jobs.LOCAL_START + outcome(costs, *jobs.local_job(alone)).seconds
         what = f"two workers on two cores, {alone:.0f} s alone"
         speeds = alone / measured, alone / found
         rows.append([what, *(f"{each:.2f}" for each in speeds), f"{speeds[1] / speeds[0] - 1:+.1%}", ""])
     return table(["case", "measured speedup", "simulated", "error", "Amdahl's law"], rows)
-
-
-def _law(case: devices.Shared, fitted: devices.Shared) -> float:
-    return devices.amdahl(case.gpus, devices.serial_share(fitted.gpus, fitted.speedup))
 
 
 def _many(costs: Costs) -> str:
