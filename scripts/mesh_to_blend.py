@@ -23,26 +23,26 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from lib.command import UsageError, exit_code
 from lib.geometry_files import read_mesh
 from lib.node_trees import with_nodes
-from rendering.imported import UP_DEFAULT, import_objects
+from rendering.imported import UP_DEFAULT, import_objects, up_axis
 
 from raybatch_addon.core.errors import RayBatchError, SceneError
 
 ERRORS = (RayBatchError, OSError)
 
 
-def triangles_of(path: Path, up: str | None, drop: list[int]) -> tuple[np.ndarray, np.ndarray]:
+def triangles_of(path: Path, up: str, drop: list[int]) -> tuple[np.ndarray, np.ndarray]:
     """Vertices of a file, float32 [n, 3], turned so that z is up, and its triangles, int32 [m, 3], without those of the
-    materials `drop`. `up`: the axis that the file has up; None: as usual for its kind. Uses the open scene.
+    materials `drop`. `up`: the axis that the file has up. Uses the open scene.
     """
     suffix = path.suffix.lower()
     if suffix not in (".npz", *UP_DEFAULT):
-        raise UsageError(f"{path} is no geometry that can be read: .npz, {', '.join(UP_DEFAULT)}")
+        raise UsageError(f"{path} cannot be read: convert it to one of .npz, {', '.join(UP_DEFAULT)}")
     if not path.is_file():
         raise SceneError(f"there is no file {path}")
     if suffix != ".npz":
         if drop:
             raise UsageError("--drop names materials of an .npz, whose array m numbers them")
-        return imported_triangles(path, up or UP_DEFAULT[suffix])
+        return imported_triangles(path, up)
     mesh, _ = read_mesh(path)
     v, f = mesh.positions, mesh.triangles
     if drop:
@@ -65,9 +65,11 @@ def imported_triangles(path: Path, up: str) -> tuple[np.ndarray, np.ndarray]:
         data.vertices.foreach_get("co", v)
         data.loop_triangles.foreach_get("vertices", f)
         matrix = np.array(thing.matrix_world)
-        vertices.append((v.reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32))
-        triangles.append(f.reshape(-1, 3) + count)
-        count += len(data.vertices)
+        used, found = np.unique(f, return_inverse=True)  # the camera is placed by vertices of faces alone
+        corners = found.reshape(-1, 3).astype(np.int32) + count
+        vertices.append((v.reshape(-1, 3)[used] @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32))
+        triangles.append(corners if np.linalg.det(matrix[:3, :3]) >= 0 else corners[:, ::-1])
+        count += len(used)
     if not any(map(len, triangles)):
         raise SceneError(f"{path} has no faces to render; is it damaged?")
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -111,8 +113,7 @@ def under_the_sky(scene: bpy.types.Scene, given: argparse.Namespace) -> None:
         ex, ey, ez, tx, ty, tz, degrees = map(float, given.camera.split(","))
     except ValueError as error:
         raise UsageError("--camera takes seven numbers: ex,ey,ez,tx,ty,tz,fov_degrees") from error
-    up = given.up or UP_DEFAULT.get(given.mesh.suffix.lower(), "z")
-    turn = Matrix(((1, 0, 0), (0, 0, -1), (0, 1, 0))) if up == "y" else Matrix.Identity(3)
+    turn = Matrix(((1, 0, 0), (0, 0, -1), (0, 1, 0))) if given.up == "y" else Matrix.Identity(3)
     point_camera(scene, turn @ Vector((ex, ey, ez)), turn @ Vector((tx, ty, tz)), math.radians(degrees))
     sun = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", "SUN"))
     sun.data.energy, sun.data.angle = given.sun, math.radians(1)
@@ -163,8 +164,7 @@ def main() -> int:
 
 def run(given: argparse.Namespace) -> int:
     """Make the file that was asked for; the exit code."""
-    if given.up == "z" and given.mesh.suffix.lower() in (".gltf", ".glb"):
-        raise UsageError("glTF has y up by definition; leave --up out")
+    given.up = up_axis(given.mesh, given.up)
     bpy.ops.wm.read_factory_settings(use_empty=True)
     v, f = triangles_of(given.mesh, given.up, given.drop)
     scene = bpy.context.scene

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -336,8 +335,8 @@ def _names_to_know(out: str | None) -> list[str]:
     extension = os.path.splitext(out)[1]
     if extension.lower() in UNWRITTEN:
         raise UsageError(f"Blender writes no {extension}: give {out} one of the extensions {', '.join(FORMATS)}")
-    if close := difflib.get_close_matches(extension.lower(), FORMATS, n=1, cutoff=0.75):
-        raise UsageError(f"{out}: {extension} is no picture's extension; did you mean {close[0]}?")
+    if meant := [each for each in FORMATS if sorted(each) == sorted(extension.lower())]:
+        raise UsageError(f"{out}: {extension} is no picture's extension; did you mean {meant[0]}?")
     if extension and "#" not in extension:
         why = f"{extension} is no picture's extension"
         return [f"{why}: {out} is a name as Blender has it, with a number and an extension behind"]

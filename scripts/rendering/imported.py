@@ -29,10 +29,7 @@ UP_DEFAULT = {".obj": "y", ".ply": "z", ".gltf": "y", ".glb": "y"}
 
 def import_geometry(request: Request) -> None:
     """Put the geometry of the request's file into an empty scene; raises `SceneError`."""
-    suffix = request.source.suffix.lower()
-    up = request.up or UP_DEFAULT[suffix]
-    if suffix in (".gltf", ".glb") and up != "y":
-        raise UsageError("glTF has y up by definition; leave --up out")
+    up = up_axis(request.source, request.up)
     view = parse_view(request.camera) if request.camera else None
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
@@ -58,6 +55,14 @@ def import_geometry(request: Request) -> None:
         _add_camera(scene, view, float(np.linalg.norm(high - low)))
     if not any(thing.type == "LIGHT" for thing in scene.objects):
         _add_light(scene, view)
+
+
+def up_axis(source: Path, asked: str | None) -> str:
+    """The axis that a file has up, `asked` for or as usual for its kind; raises `UsageError`."""
+    suffix = source.suffix.lower()
+    if suffix in (".gltf", ".glb") and asked == "z":
+        raise UsageError("glTF has y up by definition; leave --up out")
+    return asked or UP_DEFAULT.get(suffix, "z")
 
 
 def import_objects(source: Path, up: str) -> None:

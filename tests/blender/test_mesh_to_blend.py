@@ -41,6 +41,8 @@ def test_files_that_blender_imports_are_read_too(addon, tmp_path):
         shape = "".join(f"v {x + 3 * number} {y} {z}\n" for x, y, z in ((0, 0, 0), (1, 0, 0), (0, 2, 0)))
         with (tmp_path / "two.obj").open("a") as file:
             file.write(f"o part{number}\n{shape}f {3 * number + 1} {3 * number + 2} {3 * number + 3}\n")
+    with (tmp_path / "two.obj").open("a") as file:
+        file.write("v 50 50 50\n")  # of no face
     out = tmp_path / "made" / "two.blend"  # in a folder that is not there yet
     done = run_script("mesh_to_blend.py", tmp_path / "two.obj", out, "--stage")
     assert done.returncode == 0, done.stderr
@@ -55,7 +57,7 @@ def test_files_that_blender_imports_are_read_too(addon, tmp_path):
     "name, more, text",
     [
         ("none.npz", (), "there is no file"),
-        ("two.stl", (), "is no geometry that can be read: .npz, .obj, .ply, .gltf, .glb"),
+        ("two.stl", (), "cannot be read: convert it to one of .npz, .obj, .ply, .gltf, .glb"),
         ("two.glb", ("--up", "z"), "glTF has y up"),
         ("some.npz", ("--drop", "1"), "has no array m"),
         ("some.obj", ("--drop", "1"), "--drop names materials of an .npz"),

@@ -167,7 +167,8 @@ class Mesh:
     # triangles that are flat beside others that are not: they stay so when vertices move. Bool, shape [triangle_count];
     # None: no triangle is, or all are
     flat: np.ndarray | None = None
-    # where the vertices were before materials displaced them, which generated coordinates are of; None: nothing did
+    # where the vertices were before a render moved them (core/displacement), which generated coordinates are of; None:
+    # nothing did
     base_positions: np.ndarray | None = None
     grids: tuple[Grid, ...] = ()  # values that the programs of its volumes read
     object_density: bool = False  # coefficients of its volumes are those of object space, not of the world [1/m]

@@ -93,6 +93,7 @@ class SceneCache:
         here [bytes].
         """
         self._beside = beside
+        self.boundaries = MovedBoundaries()
         self.images = ImageCache()
         self.world = WorldCache()
         self.volumes = VolumeCache()
@@ -102,13 +103,13 @@ class SceneCache:
         self.emissive_arrays: LastSmall[list[wp.array]] = LastSmall(_bytes_of_arrays)  # the same on the device
         self.light_tree: LastSmall[ChoiceTable] = LastSmall(choice_tree_bytes)
         self._displaced = DisplacedMeshes()
-        self._boundaries = MovedBoundaries()
         self._bakes = KeptBakes()
         self._last: Kept | None = None
         self._lock = threading.Lock()  # the build of a cancelled render may still be going on
 
     def clear(self) -> None:
         """Forget it."""
+        self.boundaries.clear()
         self.images.clear()
         self.world.clear()
         self.volumes.clear()
@@ -118,7 +119,6 @@ class SceneCache:
         self.emissive_arrays.clear()
         self.light_tree.clear()
         self._displaced.clear()
-        self._boundaries.clear()
         self._bakes.clear()
         self._last = None
 
@@ -161,8 +161,8 @@ class SceneCache:
         return free_memory(device) + self.device_bytes + self.world.device_bytes + self._beside()
 
     def displaced(self, scene: Scene, device: wp.Device, move: Move, asked: int = 0) -> Scene:
-        """`scene` with the vertices where its materials move them, whose programs `move` runs, and faces of volumes off
-        the surfaces that they lie on. `asked`: as for `free_for_geometry`.
+        """`scene` with the vertices where its materials move them, whose programs `move` runs. `asked`: as for
+        `free_for_geometry`.
         """
 
         @functools.cache
@@ -170,7 +170,7 @@ class SceneCache:
             budget = self.image_budget(device)
             return self.images.upload(images_of_displacement(scene, asked or budget), device, None if asked else budget)
 
-        return self._boundaries.moved(self._displaced.displaced(scene, lambda: images().table, device, move))
+        return self._displaced.displaced(scene, lambda: images().table, device, move)
 
     def get(self, scene: Scene, request: GeometryRequest, device: wp.Device) -> Kept:
         """Geometry and tree of `scene`; those of the last call cannot be used any more.

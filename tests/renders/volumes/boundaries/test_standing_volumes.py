@@ -12,6 +12,7 @@ from tests.support import scenes
 
 pytestmark = pytest.mark.usefixtures("general_kernels")
 
+_SHEET = Material("clear", (Closure(ClosureKind.TRANSPARENT, (1.0, 1.0, 1.0)),), (ClosureKind.TRANSPARENT,))
 # height of the floor [m], and how far all is turned around an axis that is none of the world's [rad]
 PLACES = {
     "at the origin": (0.0, 0.0),
@@ -30,9 +31,9 @@ def turned(angle: float, height: float) -> np.ndarray:
     return np.column_stack([rotation, rotation @ (0, 0, height)])
 
 
-def standing(volume, place: str, world=1.0, up=0.0, side=1) -> Scene:
+def standing(volume, place: str, world=1.0, up=0.0, side=1, floor=30.0) -> Scene:
     """A cube of `volume` on a black floor that it meets at its own face, and what a camera sees of that face from
-    above or, with a `side` of -1, from below. `up`: of a sun below the floor.
+    above or, with a `side` of -1, from below. `up`: of a sun below the floor, which is `floor` m wide.
     """
     height, angle = PLACES[place]
     there = turned(angle, height)
@@ -41,13 +42,19 @@ def standing(volume, place: str, world=1.0, up=0.0, side=1) -> Scene:
         return there[:, :3] @ np.asarray(point, np.float64) + there[:, 3]
 
     stretched = np.column_stack([there[:, :3] * 0.7, at(0.1, -0.2, 0.7)]).astype(np.float32)
-    wide = np.column_stack([there[:, :3] * 15.0, at(0.3, 0.1, 0.0)]).astype(np.float32)
+    wide = np.column_stack([there[:, :3] * (floor / 2), at(0.3, 0.1, 0.0)]).astype(np.float32)
     things = [(scenes.box(), stretched, filled(volume)), (scenes.plane(), wide, scenes.diffuse(0.0))]
     view = scenes.camera(eye=at(0.4, -4.1, 3.3 * side), target=at(0.1, -0.2, 0.0), half_width=0.04)
     made = scenes.scene(things, world=world, frame=Frame(24, 24), view=view)
     upwards = np.column_stack([there[:, :3] @ np.diag([1.0, -1.0, -1.0]), at(0, 0, -5)]).astype(np.float32)
     lights = (scenes.sun(up, matrix=upwards), *in_box(medium(1.0)).lights[1:])
     return dataclasses.replace(made, lights=lights)
+
+
+def in_volume(scene: Scene, side: int) -> float:
+    """How long the ray in the middle is in the volume [m], between its side and the face on the floor."""
+    eye = np.array([0.4, -4.1, 3.3 * side]) - (0.1, -0.2, 0.0)
+    return 0.7 * np.linalg.norm(eye) / -eye[1]
 
 
 def rendered(session, scene: Scene) -> np.ndarray:
@@ -66,9 +73,18 @@ def test_the_floor_is_seen_through_the_volume(session, place, side):
 def test_no_light_comes_into_the_volume_through_the_floor(session, place):
     lit = standing(medium(scattering=0.4), place, world=0.0, up=3.0)
     np.testing.assert_array_equal(rendered(session, lit), 0.0)
-    glass = Material("clear", (Closure(ClosureKind.TRANSPARENT, (1.0, 1.0, 1.0)),), (ClosureKind.TRANSPARENT,))
-    clear = dataclasses.replace(lit, materials=(lit.materials[0], glass))
+    clear = dataclasses.replace(lit, materials=(lit.materials[0], _SHEET))
     assert rendered(session, clear).mean() > 0.01  # the sun is there
+
+
+@pytest.mark.parametrize("floor", [3.0, 30.0, 200.0])
+@pytest.mark.parametrize("side", [1, -1], ids=["from above", "from below"])
+def test_rays_leave_the_volume_behind_a_sheet_that_lets_them_through(session, floor, side):
+    """However large the sheet is, and so the error of points there."""
+    made = standing(medium(absorption=0.5), "turned", side=side, floor=floor)
+    through = dataclasses.replace(made, materials=(made.materials[0], _SHEET))
+    expected = np.exp(-0.5 * in_volume(made, side))
+    np.testing.assert_allclose(rendered(session, through)[11:13, 11:13].mean((0, 1)), expected, rtol=3e-3)
 
 
 def test_a_volume_on_a_floor_keeps_its_height(session):
@@ -76,8 +92,5 @@ def test_a_volume_on_a_floor_keeps_its_height(session):
     made = standing(medium(absorption=0.5), "above it", world=0.0)
     shining = dataclasses.replace(made, materials=(made.materials[0], scenes.emitter(2.0)))
     found = rendered(session, shining)
-    eye = np.asarray(made.camera.transform)[:, 3]
-    way = np.array([0.1, -0.2, 1.37]) - eye
-    inside = 0.7 * np.linalg.norm(way) / way[1]  # the ray comes in by the side that is 0.7 m away
     middle = found[11:13, 11:13].mean((0, 1))
-    np.testing.assert_allclose(middle, 2.0 * np.exp(-0.5 * inside), rtol=3e-3)
+    np.testing.assert_allclose(middle, 2.0 * np.exp(-0.5 * in_volume(made, 1)), rtol=3e-3)
