@@ -20,6 +20,7 @@ from .codegen.by_reference import pass_structs_by_reference
 from .codegen.local_arrays import set_local_arrays_once
 from .compiler import compile_apart
 from .declared import is_known
+from .failures import check_device
 from .kept_kernels import folders, spare_folder
 from .kernel import block_size_of, optimisation_level
 from .loading import find_files, is_loaded, load, load_here_what_is_launched
@@ -190,8 +191,12 @@ def total_memory(device: wp.Device) -> int:
 
 
 def free_memory(device: wp.Device) -> int:
-    """Memory that a render may still take on `device` [bytes]."""
-    return int(device.free_memory) if device.is_cuda else host_memory_free()
+    """Memory that a render may still take on `device` [bytes]; raises `DeviceError` for one that has stopped."""
+    if not device.is_cuda:
+        return host_memory_free()
+    if (free := int(device.free_memory)) == 0:
+        check_device(device)  # one that has stopped says 0 too
+    return free
 
 
 def device_memory_peak(device: wp.Device) -> int:

@@ -4,12 +4,13 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import warp as wp
 
-from raybatch_addon.core.device.devices import start_warp
+from raybatch_addon.core.device.devices import free_memory, start_warp
 from raybatch_addon.core.device.failures import named_failures
 from raybatch_addon.core.errors import DeviceError, OutOfMemoryError, SceneError
 from raybatch_addon.core.session import Session
@@ -126,6 +127,20 @@ try:
 except RayBatchError as error:
     print(error)
 """
+
+
+def test_a_device_that_says_it_has_no_memory_may_be_lost(monkeypatch):
+    """Warp gives 0 bytes where the driver gives an error."""
+    device = SimpleNamespace(is_cuda=True, is_capturing=False, alias="cuda:7", free_memory=0)
+    monkeypatch.setattr(wp, "synchronize_device", lambda asked: None)
+    assert free_memory(device) == 0
+
+    def lost(asked):
+        raise RuntimeError("Warp CUDA error 700: an illegal memory access was encountered")
+
+    monkeypatch.setattr(wp, "synchronize_device", lost)
+    with pytest.raises(DeviceError, match="cuda:7 stopped: .*; restart the program"):
+        free_memory(device)
 
 
 @ON_CUDA
