@@ -107,7 +107,7 @@ def test_other_errors_pass(error):
 
 LOST = """
 import sys
-sys.path.insert(0, sys.argv[1])
+sys.path[:0] = [sys.argv[1], sys.argv[1] + "/scripts"]
 import warp as wp
 from raybatch_addon.core.errors import RayBatchError
 from raybatch_addon.core.session import Session
