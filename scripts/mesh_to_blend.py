@@ -50,6 +50,8 @@ def triangles_of(path: Path, up: str, drop: list[int]) -> tuple[np.ndarray, np.n
             if "m" not in arrays:
                 raise UsageError(f"{path} has no array m, so that --drop names no materials")
             f = f[~np.isin(arrays["m"], drop)]
+        if not len(f):
+            raise UsageError(f"{path}: --drop leaves no triangles")
     return (v[:, [0, 2, 1]] * np.array([1, -1, 1], np.float32) if up == "y" else v), f
 
 

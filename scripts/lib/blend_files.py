@@ -34,6 +34,10 @@ def open_blend(path: Path) -> None:
         if why := unlike_blend(path):
             raise SceneError(f"{path} {why}")
         bpy.ops.wm.open_mainfile(filepath=str(path.absolute()), load_ui=False)
+    except FileNotFoundError:
+        raise SceneError(f"there is no file {path}: check the name") from None
+    except IsADirectoryError:
+        raise SceneError(f"{path} is a folder: name the .blend files in it") from None
     except OSError as error:
         raise SceneError(f"{path} cannot be read ({error.strerror}): check its permissions") from None
     except RuntimeError as error:

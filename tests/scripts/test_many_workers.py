@@ -124,11 +124,11 @@ def test_what_was_not_measured_is_predicted_from_what_was():
 
 
 def test_measured_speedups_are_met():
-    """Those of GPUs of a process within a percent, by one figure for all of them, or within two where runs themselves
+    """Those of GPUs of a process within 0.3 percent, by one figure for all of them, or within two where runs themselves
     differ by more; those of two workers within 10.
     """
     for case in jobs.MEASURED:
-        within = 0.01 if case.samples == 1024 else 0.02
+        within = 0.003 if case.samples == 1024 else 0.02
         assert results.speedup(case) == pytest.approx(case.speedup, rel=within), case
     costs = results.costs_of(read_report(ROOT / "docs/studies/data/many-workers-cpu.json"))
     for alone, measured in jobs.LOCAL:

@@ -3,14 +3,16 @@
 A ray goes on behind a surface beyond the error of its point (`spawn_origin`), so it does not meet another face that
 coincides with that one. Of two such faces rounding decides which a ray meets: one that leaves the smoke by its own face
 would miss the floor. Nobody sees the faces of a mesh whose material is a volume alone, so its flat faces are moved
-inwards from the surface that they lie on, beyond the errors of both, before trees are built. Then rays meet both, in
-the same order everywhere. Where that is more than `MOVED_MOST` of the volume, and between two volumes, faces stay where
-they are: `shading/volumes/enclosures.py` finds those of volumes that coincide.
+inwards from the surface that they lie on, beyond the errors of both, before trees are built. Then rays that come from
+where the camera is, or nearer, meet both in the same order everywhere. Faces stay where they are where that is more
+than `MOVED_MOST` of the volume, or would bring them onto another surface, and where they lie on those of other volumes
+alone, which `shading/volumes/enclosures.py` finds. Edges sharper than some 15 degrees are moved less.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,10 +28,12 @@ from .vertices import cofactors, units, used_meshes
 
 # How far a face is moved at most, of the extent of its mesh across it
 MOVED_MOST = 0.01
-# Instances of volumes at most, and pairs of them and of surfaces; where there are more, all stay where they are
-_BOUNDARIES_MOST, _PAIRS_MOST = 4096, 30_000_000
-# Vertices of surfaces that are looked at in one scene, at most; larger meshes than are left are taken not to coincide
-_VERTICES_MOST = 4_000_000
+# Triangles of a mesh whose faces may be moved, and instances of volumes and pairs of them and of surfaces, at most;
+# where there are more, all stay where they are
+TRIANGLES_MOST, BOUNDARIES_MOST, _PAIRS_MOST = 16_384, 1024, 10_000_000
+# What may be looked at in one scene: vertices, and as many more for each surface that a plane is compared with.
+# Faces that would need more stay where they are
+WORK_MOST, _WORK_EACH = 6_000_000, 2000
 # Roundings of a point in its plane and of its test, in proportion to the longest edge; of its coordinates; and of
 # carrying it to the world (`shading/surface.py`)
 _EDGE, _PLACE, _CARRIED = TRIANGLE_TEST + 8 * UNIT_ROUNDOFF, 2 * UNIT_ROUNDOFF, 18 * UNIT_ROUNDOFF
@@ -62,7 +66,8 @@ class MovedBoundaries:
     def moved(self, scene: Scene) -> Scene:
         """`scene` with flat faces of volumes moved off the surfaces that they lie on; itself where there are none.
 
-        Nothing is looked at that moves or deforms while the shutter is open. Arrays that are made are frozen.
+        Nothing is looked at that moves or deforms while the shutter is open. Arrays that are made are frozen. All that
+        is kept is positions.
         """
         if not any(map(is_boundary, scene.materials)) or len(scene.instances) < 2:
             self.clear()
@@ -70,11 +75,11 @@ class MovedBoundaries:
         places = _Places(scene)
         meshes, mesh_of, kept = list(scene.meshes), scene.instances.mesh.copy(), []
         for index, which in places.boundaries.items():
+            mesh = scene.meshes[index]
             if not places.lie_near(which):
                 continue
-            mesh = scene.meshes[index]
             faces = fact(mesh.positions, flat_faces, mesh.triangles)
-            shift = places.shift(index, faces, which)
+            shift = places.shift(mesh, faces, which)
             if shift.any():
                 positions = self._positions(mesh, faces, shift, kept)
                 base = mesh.positions if mesh.base_positions is None else mesh.base_positions
@@ -112,16 +117,17 @@ class _Places:
         self._half = np.einsum("nij,nj->ni", np.abs(linear), (boxes[:, 1] - boxes[:, 0]) / 2)
         self._largest = np.abs(boxes).max(1)  # coordinates, in object space
         self._eye = np.asarray(scene.camera.transform, np.float64)[:, 3]
-        self._left = _VERTICES_MOST
+        self._left = WORK_MOST
         alone, seen = _bounding(scene)
         still = ~apart(scene)
         self._solids = np.flatnonzero(seen & still)
         size = [len(scene.meshes[index].positions) for index in instances.mesh[self._solids].tolist()]
         self._solids = self._solids[np.argsort(size, kind="stable")]
+        small = np.array([len(mesh.triangles) <= TRIANGLES_MOST for mesh in scene.meshes])[instances.mesh]
         bounded = np.flatnonzero(alone & still)
         self.boundaries: dict[int, list[int]] = {}
-        if len(bounded) <= _BOUNDARIES_MOST and len(bounded) * len(self._solids) <= _PAIRS_MOST:
-            for i in bounded.tolist():
+        if len(bounded) <= BOUNDARIES_MOST and len(bounded) * len(self._solids) <= _PAIRS_MOST:
+            for i in bounded[small[bounded]].tolist():
                 self.boundaries.setdefault(int(instances.mesh[i]), []).append(i)
 
     def lie_near(self, which: list[int]) -> bool:
@@ -134,57 +140,53 @@ class _Places:
         reach = (self._half[solids] + self._half[i]) * (1 + MOVED_MOST)
         return solids[(np.abs(self._middle[solids] - self._middle[i]) <= reach).all(1)]
 
-    def shift(self, index: int, faces: FlatFaces, which: list[int]) -> np.ndarray:
-        """How far each plane of `faces` is to be moved inwards, in object space, for the instances `which` of the mesh
-        `index`: float64, shape [planes]; 0 where it lies on nothing.
+    def shift(self, mesh: Mesh, faces: FlatFaces, which: list[int]) -> np.ndarray:
+        """How far each plane of `faces` is to be moved inwards, in object space, for the instances `which` of `mesh`:
+        float64, shape [planes]; 0 where it lies on nothing, or on something wherever it may be moved.
         """
         shift = np.zeros(len(faces.normals))
-        for i in which if len(shift) else ():
-            linear = self._maps[i, :, :3]
-            if np.linalg.det(linear) != 0:
-                normals = units(faces.normals @ cofactors(linear).T)
-                # a plane moved by 1 in object space moves so far in the world
-                carried = np.abs(np.einsum("kj,kj->k", faces.normals @ linear.T, normals))
-                shift = np.maximum(shift, self._beyond(i, index, faces, normals) / carried)
-        # powers of two, or meshes would be others wherever the camera is
-        return np.where(shift > 0, np.exp2(np.ceil(np.log2(np.where(shift > 0, shift, 1)))), 0)
+        which = [i for i in which if np.linalg.det(self._maps[i, :, :3]) != 0]
+        for k, normal in enumerate(faces.normals):
+            corners = mesh.positions[mesh.triangles[faces.plane == k]].astype(np.float64)
+            needed = max((self._needed(i, k, faces, corners, 0.0) for i in which), default=0.0)
+            most = MOVED_MOST * float(np.ptp(mesh.positions[mesh.triangles].reshape(-1, 3) @ normal))
+            if not 0 < needed <= most:
+                continue
+            # powers of two, or meshes would be others wherever the camera is
+            tried = 2.0 ** math.ceil(math.log2(needed))
+            while tried <= most and any(self._needed(i, k, faces, corners, tried) for i in which):
+                tried *= 2
+            shift[k] = tried if tried <= most else 0.0
+        return shift
 
-    def _beyond(self, i: int, index: int, faces: FlatFaces, normals: np.ndarray) -> np.ndarray:
-        """How far planes of instance `i`, whose normals in the world are these, are to be moved inwards in the world,
-        until all surfaces on which they lie are met apart from them: float64, shape [planes].
+    def _needed(self, i: int, k: int, faces: FlatFaces, corners: np.ndarray, shift: float) -> float:
+        """How far plane `k` of instance `i`, moved inwards by `shift`, is to be moved from where it was until surfaces
+        on which it lies are met apart from it, all in object space; 0 where it lies on none, infinite where that was
+        not found out. `corners`: of its triangles, [n, 3, 3].
         """
-        beyond = np.zeros(len(normals))
+        linear = self._maps[i, :, :3]
+        normal = units(faces.normals[k] @ cofactors(linear).T)
+        carried = abs(float((linear @ faces.normals[k]) @ normal))  # so far a plane goes that is moved by 1
+        moved = corners - shift * faces.normals[k]
+        ours = moved @ linear.T + self._maps[i, :, 3]
         solids = self._near(i)
-        if not len(solids):
-            return beyond
-        points = faces.points @ self._maps[i, :, :3].T + self._maps[i, :, 3]
-        most = MOVED_MOST * 2 * np.abs(normals) @ self._half[i]
-        away = self._middle[solids] @ normals.T - np.einsum("kj,kj->k", normals, points)
-        meets = np.abs(away) <= self._half[solids] @ np.abs(normals).T + most
-        corners = None
-        for solid, asked in zip(solids[meets.any(1)].tolist(), meets[meets.any(1)]):
-            size = len(self._mesh(solid).positions)
-            if size > self._left:
-                break  # others are larger
-            self._left -= size
-            if corners is None:
-                mesh = self._scene.meshes[index]
-                corners = self._world(i)[mesh.triangles]
-            for k in np.flatnonzero(asked).tolist():
-                found = self._needed(i, solid, corners[faces.plane == k], faces.longest[k], normals[k], points[k])
-                if 2 * found <= most[k]:  # before it is rounded up
-                    beyond[k] = max(beyond[k], found)
-        return beyond
+        away = (self._middle[solids] - ours[0, 0]) @ normal
+        half = (self._half[solids] + MOVED_MOST * self._half[i]) @ np.abs(normal)
+        found = 0.0
+        for solid in solids[np.abs(away) <= half].tolist():
+            self._left -= len(self._mesh(solid).positions) + _WORK_EACH
+            if self._left < 0:
+                return math.inf
+            found = max(found, self._apart(i, solid, ours, float(faces.longest[k]), normal))
+        return found / carried + (shift if found else 0.0)
 
-    def _needed(
-        self, i: int, solid: int, ours: np.ndarray, longest: float, normal: np.ndarray, point: np.ndarray
-    ) -> float:
+    def _apart(self, i: int, solid: int, ours: np.ndarray, longest: float, normal: np.ndarray) -> float:
         """How far faces `ours` of instance `i`, corners in the world [n, 3, 3], with edges up to `longest` in object
         space, are to be moved against `normal` to be met apart from those of `solid`; 0 where they do not coincide.
         """
         mesh, matrix = self._mesh(solid), self._maps[solid]
         # heights above the plane, from object space
-        across, base = matrix[:, :3].T @ normal, float(normal @ (matrix[:, 3] - point))
+        across, base = matrix[:, :3].T @ normal, float(normal @ (matrix[:, 3] - ours[0, 0]))
         # the order of hits as seen from the camera
         far = np.linalg.norm(self._middle[i] - self._eye) + np.linalg.norm(self._half[i])
         own = self._reach(i, normal, longest) + 2 * TRIANGLE_TEST * far
@@ -205,13 +207,13 @@ class _Places:
 
     def _reach(self, instance: int, normal: np.ndarray, longest):
         """A bound of how far points of an instance, on triangles with edges up to `longest` in object space, and tests
-        of rays there, are off along `normal` of the world.
+        of rays there, are off along `normal` of the world, whether its tree is of object space or of the world.
         """
-        matrix = np.abs(self._maps[instance])
+        matrix, across = np.abs(self._maps[instance]), np.abs(normal)
+        rows = matrix[:, :3].sum(1)
         terms = matrix[:, :3] @ self._largest[instance] + matrix[:, 3]
-        across = np.abs(normal)
-        of_mesh = float(across @ matrix[:, :3].sum(1))
-        return of_mesh * (_EDGE * longest + _PLACE * self._largest[instance].max()) + _CARRIED * float(across @ terms)
+        of_edges = float(across.sum() * rows.max())  # in the world each coordinate is off by the longest edge there
+        return of_edges * (_EDGE * longest + _PLACE * self._largest[instance].max()) + _CARRIED * float(across @ terms)
 
     def _seen_of(self, instance: int, triangles: np.ndarray) -> np.ndarray:
         """Which `triangles` of an instance are surfaces, and not of volumes alone: bool, shape [n]."""
@@ -223,10 +225,6 @@ class _Places:
 
     def _mesh(self, instance: int) -> Mesh:
         return self._scene.meshes[int(self._scene.instances.mesh[instance])]
-
-    def _world(self, instance: int) -> np.ndarray:
-        """Vertices of an instance in the world, float64, shape [vertex_count, 3]."""
-        return self._mesh(instance).positions @ self._maps[instance, :, :3].T + self._maps[instance, :, 3]
 
 
 def _bounding(scene: Scene) -> tuple[np.ndarray, np.ndarray]:

@@ -49,9 +49,14 @@ def flat_faces(positions: np.ndarray, triangles: np.ndarray) -> FlatFaces:
 
 def _summed(faces: FlatFaces, corners: np.ndarray, area: np.ndarray, height: np.ndarray, grain: float) -> FlatFaces:
     """`faces` without those that lie on each other from opposite sides; those that rounding parted are one."""
-    along = faces.normals @ faces.normals.T
-    alike = (along > 1 - _NORMALS) & (np.abs(height[:, None] - height) <= 2 * grain)
-    owner = alike.argmax(1)  # the first of them
+
+    def close(sign: float) -> np.ndarray:
+        turned = np.linalg.norm(faces.normals[:, None] - sign * faces.normals, axis=-1)
+        return (turned < 2 * _NORMALS) & (np.abs(height[:, None] - sign * height) <= 2 * grain)
+
+    owner = close(1.0).argmax(1)  # the first of them
+    for _ in range(len(owner)):
+        owner = owner[owner]
     plane = np.where((faces.plane >= 0) & (area > 0), owner[faces.plane] if len(owner) else -1, -1)
     count = len(owner)
     boxes = np.array([(np.full(3, np.inf), np.full(3, -np.inf))] * count).reshape(count, 2, 3)
@@ -60,9 +65,8 @@ def _summed(faces: FlatFaces, corners: np.ndarray, area: np.ndarray, height: np.
         its = corners[plane == k]
         boxes[k] = its.min((0, 1)), its.max((0, 1))
         longest[k] = np.abs(its - np.roll(its, 1, axis=1)).max()
-    opposite = (along < _NORMALS - 1) & (np.abs(height[:, None] + height) <= 2 * grain)
     over = (boxes[:, None, 0] <= boxes[:, 1] + grain) & (boxes[:, None, 1] >= boxes[:, 0] - grain)
-    kept = np.flatnonzero((owner == np.arange(count)) & ~(opposite & over.all(2)).any(1))
+    kept = np.flatnonzero((owner == np.arange(count)) & ~(close(-1.0) & over.all(2)).any(1))
     number = np.full(count + 1, -1, np.int32)  # the last one: of none
     number[kept] = np.arange(len(kept))
     return FlatFaces(number[plane], faces.normals[kept], faces.points[kept], longest[kept])

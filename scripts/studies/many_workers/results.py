@@ -107,11 +107,12 @@ def not_shared() -> float:
 def _judged(costs: Costs) -> str:
     rows = []
     for case in (*jobs.MEASURED, *jobs.PREDICTED):
-        found, law = speedup(case), f"{devices.amdahl(case.gpus, not_shared()):.2f}"
+        found, law = speedup(case), devices.amdahl(case.gpus, not_shared())
         if case.speedup:
-            rows.append([case.words, f"{case.speedup:.2f}", f"{found:.2f}", f"{found / case.speedup - 1:+.1%}", law])
+            error = f"{found / case.speedup - 1:+.1%}"
+            rows.append([case.words, f"{case.speedup:.3f}", f"{found:.3f}", error, f"{law:.3f}"])
         else:
-            rows.append([f"{case.words} (predicted)", "", f"{found:.2f}", "", law])
+            rows.append([f"{case.words} (predicted)", "", f"{found:.2f}", "", f"{law:.2f}"])
     for alone, measured in jobs.LOCAL:
         found = jobs.LOCAL_START + outcome(costs, *jobs.local_job(alone)).seconds
         what = f"two workers on two cores, {alone:.0f} s alone"

@@ -1,10 +1,13 @@
 """Faces of volumes that lie on surfaces, which are moved off them. NumPy alone."""
 
 import dataclasses
+import gc
+import weakref
 
 import numpy as np
 import pytest
 
+from raybatch_addon.core.displacement import boundaries
 from raybatch_addon.core.displacement.boundaries import MOVED_MOST, MovedBoundaries
 from raybatch_addon.core.displacement.flat_faces import PLANES_MOST
 from raybatch_addon.core.scene.description import Grid, Mesh, Scene
@@ -64,6 +67,69 @@ def test_it_is_moved_beyond_the_errors_of_both_surfaces(size):
     moved = offsets(scene)[CUBE.positions[:, 2] == 0, 2]
     error = (25 + 6) * 2.0**-24 * size
     assert (moved > 2 * error).all() and (moved <= MOVED_MOST * 2).all()
+
+
+@pytest.mark.parametrize("scale", [(100, 100, 1), (100, 100, 0.1), (100, 100, 100)])
+def test_a_floor_that_its_transform_makes_wide_counts_as_wide(scale):
+    """In the world, where its tree may be, each coordinate is off in proportion to the longest edge."""
+    wide = np.diag([*scale, 1.0])[:3].astype(np.float32)
+    for things in (
+        [(CUBE, scenes.IDENTITY, SMOKE), (scenes.plane(), wide, scenes.diffuse(0.5))],
+        [(CUBE, wide, SMOKE), (FLOOR, scenes.IDENTITY, scenes.diffuse(0.5))],
+    ):
+        scene = scenes.scene(things)
+        there = offsets(scene) @ scene.instances.transform[0, :, :3].T
+        on_floor = CUBE.positions[:, 2] == 0
+        assert (there[on_floor, 2] > 2 * (25 + 6) * 2.0**-24 * 200).all() or (there == 0).all()
+        assert (there[on_floor, 2] > 0).all() or scale[2] < 1  # where the cube is too low for it
+
+
+def test_thin_volumes_are_not_turned_inside_out():
+    """A slab of a millimetre on a plane of 2 km: flat, and turned, where its box in the world is high."""
+    slab = block((-5, -5, 0), (5, 5, 1e-3))
+    turn = np.array([(0.8, 0, -0.6, 0), (0, 1, 0, 0), (0.6, 0, 0.8, 0)], np.float32)
+    floor = dataclasses.replace(FLOOR, positions=FLOOR.positions * 100)
+    for at in (scenes.IDENTITY, turn):
+        scene = scenes.scene([(slab, at, SMOKE), (floor, at, scenes.diffuse(0.5))])
+        assert MovedBoundaries().moved(scene) is scene
+
+
+@pytest.mark.parametrize("height", 2.0 ** np.arange(-17, -7))
+def test_a_face_is_not_moved_onto_another_surface(height):
+    """Neither of a carpet on the floor, nor of what another instance of its mesh lies close to."""
+    floor = dataclasses.replace(FLOOR, positions=FLOOR.positions * 10)
+    carpet = np.eye(4)[:3].astype(np.float32)
+    carpet[2, 3] = height
+    beside = np.array(carpet)
+    beside[0, 3] = 4
+    error = 2 * (25 + 6) * 2.0**-24 * 20
+    lying = [(CUBE, scenes.IDENTITY, SMOKE), (floor, scenes.IDENTITY, scenes.diffuse(0.5))]
+    on_carpet = scenes.scene([*lying, (FLOOR, carpet, scenes.diffuse(0.5))])
+    small = (scenes.plane(), beside, scenes.diffuse(0.5))
+    twice = scenes.scene([*lying, (CUBE, scenes.translation(4, 0, 0), SMOKE), small])
+    for scene in (on_carpet, twice):
+        bottom = offsets(scene)[CUBE.positions[:, 2] == 0, 2]
+        assert (bottom == bottom[0]).all() and bottom[0] > 0
+        assert abs(bottom[0] - height) > error / (1 if scene is on_carpet else 10)
+
+
+def test_where_there_is_too_much_to_look_at_all_stays(monkeypatch):
+    for name in ("TRIANGLES_MOST", "BOUNDARIES_MOST", "WORK_MOST", "_PAIRS_MOST"):
+        scene = room((CUBE, scenes.IDENTITY, SMOKE))
+        assert MovedBoundaries().moved(scene) is not scene
+        with monkeypatch.context() as changed:
+            changed.setattr(boundaries, name, 0)
+            assert MovedBoundaries().moved(scene) is scene, name
+
+
+def test_nothing_of_a_scene_is_kept_alive():
+    cube = frozen(block((-1, -1, 0), (1, 1, 2)))
+    kept, gone = MovedBoundaries(), weakref.ref(cube.positions)
+    assert kept.moved(room((cube, scenes.IDENTITY, SMOKE))).meshes
+    del cube
+    gc.collect()
+    assert gone() is None
+    kept.clear()
 
 
 def test_a_face_that_would_have_to_be_moved_far_stays():

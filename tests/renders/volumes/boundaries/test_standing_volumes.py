@@ -42,7 +42,7 @@ def standing(volume, place: str, world=1.0, up=0.0, side=1, floor=30.0) -> Scene
         return there[:, :3] @ np.asarray(point, np.float64) + there[:, 3]
 
     stretched = np.column_stack([there[:, :3] * 0.7, at(0.1, -0.2, 0.7)]).astype(np.float32)
-    wide = np.column_stack([there[:, :3] * (floor / 2), at(0.3, 0.1, 0.0)]).astype(np.float32)
+    wide = np.column_stack([there[:, :3] * (floor / 2, floor / 2, 1.0), at(0.3, 0.1, 0.0)]).astype(np.float32)
     things = [(scenes.box(), stretched, filled(volume)), (scenes.plane(), wide, scenes.diffuse(0.0))]
     view = scenes.camera(eye=at(0.4, -4.1, 3.3 * side), target=at(0.1, -0.2, 0.0), half_width=0.04)
     made = scenes.scene(things, world=world, frame=Frame(24, 24), view=view)
