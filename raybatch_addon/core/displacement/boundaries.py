@@ -118,6 +118,7 @@ class _Places:
         self._largest = np.abs(boxes).max(1)  # coordinates, in object space
         self._eye = np.asarray(scene.camera.transform, np.float64)[:, 3]
         self._left = WORK_MOST
+        self._near_to: dict[int, np.ndarray] = {}  # by instance: what `_near` returns, for each of its planes
         alone, seen = _bounding(scene)
         still = ~apart(scene)
         self._solids = np.flatnonzero(seen & still)
@@ -136,9 +137,11 @@ class _Places:
 
     def _near(self, i: int) -> np.ndarray:
         """The surfaces whose boxes touch that of instance `i`, those of the smallest meshes first."""
-        solids = self._solids
-        reach = (self._half[solids] + self._half[i]) * (1 + MOVED_MOST)
-        return solids[(np.abs(self._middle[solids] - self._middle[i]) <= reach).all(1)]
+        if i not in self._near_to:
+            solids = self._solids
+            reach = (self._half[solids] + self._half[i]) * (1 + MOVED_MOST)
+            self._near_to[i] = solids[(np.abs(self._middle[solids] - self._middle[i]) <= reach).all(1)]
+        return self._near_to[i]
 
     def shift(self, mesh: Mesh, faces: FlatFaces, which: list[int]) -> np.ndarray:
         """How far each plane of `faces` is to be moved inwards, in object space, for the instances `which` of `mesh`:
@@ -149,9 +152,9 @@ class _Places:
         for k, normal in enumerate(faces.normals):
             corners = mesh.positions[mesh.triangles[faces.plane == k]].astype(np.float64)
             needed = max((self._needed(i, k, faces, corners, 0.0) for i in which), default=0.0)
-            most = MOVED_MOST * float(np.ptp(mesh.positions[mesh.triangles].reshape(-1, 3) @ normal))
-            if not 0 < needed <= most:
+            if not 0 < needed < math.inf:
                 continue
+            most = MOVED_MOST * float(np.ptp(mesh.positions[mesh.triangles].reshape(-1, 3) @ normal))
             # powers of two, or meshes would be others wherever the camera is
             tried = 2.0 ** math.ceil(math.log2(needed))
             while tried <= most and any(self._needed(i, k, faces, corners, tried) for i in which):

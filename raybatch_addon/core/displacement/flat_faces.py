@@ -21,7 +21,6 @@ class FlatFaces:
 
     plane: np.ndarray  # of each triangle of the mesh; -1: of none that is listed. int32, shape [n]
     normals: np.ndarray  # unit, float64, shape [planes, 3]
-    points: np.ndarray  # on each plane, float64, shape [planes, 3]
     longest: np.ndarray  # the longest edge there [m], float64, shape [planes]
 
 
@@ -43,7 +42,7 @@ def flat_faces(positions: np.ndarray, triangles: np.ndarray) -> FlatFaces:
     number = np.full(len(first), -1, np.int32)
     number[largest] = np.arange(len(largest))
     at = first[largest]
-    found = FlatFaces(number[kind], normals[at], corners[at, 0], np.zeros(len(at)))
+    found = FlatFaces(number[kind], normals[at], np.zeros(len(at)))
     return _summed(found, corners, area, height[at], grain)
 
 
@@ -69,7 +68,7 @@ def _summed(faces: FlatFaces, corners: np.ndarray, area: np.ndarray, height: np.
     kept = np.flatnonzero((owner == np.arange(count)) & ~(close(-1.0) & over.all(2)).any(1))
     number = np.full(count + 1, -1, np.int32)  # the last one: of none
     number[kept] = np.arange(len(kept))
-    return FlatFaces(number[plane], faces.normals[kept], faces.points[kept], longest[kept])
+    return FlatFaces(number[plane], faces.normals[kept], longest[kept])
 
 
 def offsets_at(positions: np.ndarray, triangles: np.ndarray, faces: FlatFaces, shift: np.ndarray) -> np.ndarray:
